@@ -1,0 +1,1 @@
+"""The cell controller: assembly, and nothing of wires."""
