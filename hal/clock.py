@@ -21,7 +21,7 @@ class Deadlock(RuntimeError):
     """Under virtual time nothing is ready and no timer is set: the program would wait for ever."""
 
 
-class _JumpingSelector(selectors.DefaultSelector):  # type: ignore[misc, valid-type]  # platform alias, not a static class
+class _JumpingSelector(selectors.DefaultSelector):
     """Instead of waiting, moves the loop's clock on by what it was asked to wait."""
 
     def __init__(self) -> None:

@@ -131,7 +131,7 @@ class Band(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TighteningProgram:
-    """What a gun is asked to do to one joint. Angles in degrees from the threshold torque on; torques in newton metre."""
+    """What a gun is asked to do to one joint. Angles in degrees from the threshold torque on; torques in N m."""
 
     stage: str
     target_torque_nm: float
