@@ -3,13 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellctl.calibration import Calibration
+from cellctl.recipe import Recipe
 from cellctl.vision.part import Part, PartMeasurement
-from hal.interfaces import ForceBlock, Frame, GuardLimits, GuardState
+from hal.interfaces import (
+    Axis,
+    CameraPark,
+    Chuck,
+    ForceBlock,
+    ForceSensor,
+    Frame,
+    GapProbe,
+    GuardLimits,
+    GuardState,
+    Gun,
+    Heater,
+    NutFeeder,
+    PartStation,
+    SafetyInputs,
+    Scanner,
+    Thermometer,
+)
 
 R = TypeVar("R")
 
@@ -80,3 +100,95 @@ class Vision(Protocol):
     async def artefact(self, frame: Frame) -> NDArray[np.float64]:
         """Residuals (n, 3) in mm of the artefact's sphere centres, measured minus certified, cell frame."""
         ...
+
+
+class Devices(Protocol):
+    """The devices that a run uses, by the names of the cell file."""
+
+    @property
+    def stage_x(self) -> Axis: ...
+    @property
+    def stage_y(self) -> Axis: ...
+    @property
+    def jack(self) -> Axis: ...
+    @property
+    def shaft_table(self) -> Axis: ...
+    @property
+    def gun_table(self) -> Axis: ...
+    @property
+    def gun_feed(self) -> Axis: ...
+    @property
+    def gun_a(self) -> Gun: ...
+    @property
+    def gun_b(self) -> Gun: ...
+    @property
+    def gun_force_a(self) -> ForceSensor: ...
+    @property
+    def gun_force_b(self) -> ForceSensor: ...
+    @property
+    def spigot_tc_1(self) -> Thermometer: ...
+    @property
+    def spigot_tc_2(self) -> Thermometer: ...
+    @property
+    def pyrometer(self) -> Thermometer: ...
+    @property
+    def rotor_tc(self) -> Thermometer: ...
+    @property
+    def heater(self) -> Heater: ...
+    @property
+    def chuck(self) -> Chuck: ...
+    @property
+    def camera_park(self) -> CameraPark: ...
+    @property
+    def nut_feeder(self) -> NutFeeder: ...
+    @property
+    def gap_probe_1(self) -> GapProbe: ...
+    @property
+    def gap_probe_2(self) -> GapProbe: ...
+    @property
+    def gap_probe_3(self) -> GapProbe: ...
+    @property
+    def safety(self) -> SafetyInputs: ...
+    @property
+    def part_station(self) -> PartStation: ...
+    @property
+    def scanner(self) -> Scanner: ...
+
+
+@dataclass(frozen=True, slots=True)
+class GuardPlan:
+    """What the composition root worked out for the force guard from recipe and cell file.
+
+    `insert_trip_n` leaves room for the overshoot, so that the force stays below the recipe's limit.
+    """
+
+    insert_trip_n: float
+    stale_ms: float
+    contact_block: int
+    idle_block: int
+
+
+@dataclass(frozen=True, slots=True)
+class RunContext:
+    """Everything that the steps of one run are given."""
+
+    devices: Devices
+    recipe: Recipe
+    calibration: Calibration
+    guard_plan: GuardPlan
+    ledger: Ledger
+    progress: Progress
+    checkpoint: Checkpoint
+    interlock: Interlock
+    vision: Vision
+    rotor_serial: str
+    shaft_serial: str
+
+
+class RunHeld(Exception):
+    """The run cannot go on by itself: `code` is stable, `reason` is one sentence for the operator."""
+
+    def __init__(self, code: str, reason: str) -> None:
+        super().__init__(f"{code}: {reason}")
+        self.code = code
+        self.reason = reason

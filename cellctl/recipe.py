@@ -109,6 +109,7 @@ class Align(Section):
     gate_xy_mm: Mm = 0.05
     gate_theta_deg: Deg = 0.03
     gate_tilt_deg: Deg = 0.1
+    motion_gate_mm: Mm = Field(default=0.3, gt=0)
     coverage_factor: float = Field(default=2.0, gt=0)
     min_p_insert: Fraction = Field(default=0.99, ge=0, le=1)
     max_loops: int = Field(default=3, ge=1, le=10)
@@ -120,6 +121,7 @@ class JackUp(Section):
     """`[jack_up]`: guarded insertion of the studs up to the spigot."""
 
     approach_speed_mm_s: MmPerSecond = Field(default=10.0, gt=0)
+    approach_force_limit_n: Newton = Field(default=50.0, gt=0)
     contact_speed_mm_s: MmPerSecond = Field(default=0.2, gt=0)
     force_limit_n: Newton = Field(default=10.0, gt=0)
     force_basis: Literal["per_bolt", "bounded_by_total"] = "bounded_by_total"
@@ -155,8 +157,10 @@ class Heat(Section):
     timeout_s: Seconds = Field(default=1800.0, gt=0)
     seat_speed_mm_s: MmPerSecond = Field(default=1.0, gt=0)
     seat_window_s: Seconds = Field(default=8.0, gt=0)
-    seat_force_limit_n: Newton = Field(default=300.0, gt=0)
-    hold_force_n: Newton = Field(default=300.0, ge=0)
+    seat_force_limit_n: Newton = Field(default=400.0, gt=0)
+    hold_force_n: Newton = Field(default=200.0, gt=0)
+    seat_step_mm: Mm = Field(default=0.05, gt=0)
+    seat_travel_mm: Mm = Field(default=0.5, gt=0)
     draw_in: bool = False
 
 
