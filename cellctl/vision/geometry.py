@@ -1,0 +1,118 @@
+"""Rigid transforms, frames on a plane, and the point of view of an organised cloud. Pure functions, millimetres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Points = NDArray[np.float32] | NDArray[np.float64]
+
+
+def transform(T_target_source: Array, points: Points) -> Array:
+    """Carry points (..., 3) by the rigid transform (4, 4): p' = R p + t.
+
+    # eq. 1, corrected: the paper only translates; the rotation belongs to it.
+    """
+    return np.asarray(points @ T_target_source[:3, :3].T + T_target_source[:3, 3], dtype=np.float64)
+
+
+def inverse(T_target_source: Array) -> Array:
+    """Inverse (4, 4) of a rigid transform, exact to rounding."""
+    rotation = T_target_source[:3, :3]
+    result = np.eye(4)
+    result[:3, :3] = rotation.T
+    result[:3, 3] = -rotation.T @ T_target_source[:3, 3]
+    return result
+
+
+def pose(rotation: Array, translation: Array) -> Array:
+    """(4, 4) from a rotation (3, 3) and a translation (3,)."""
+    result = np.eye(4)
+    result[:3, :3] = rotation
+    result[:3, 3] = translation
+    return result
+
+
+def unit(vector: Any) -> Array:
+    """`vector` (3,) at length 1. Raises ValueError for a vector of no length."""
+    array = np.asarray(vector, dtype=np.float64)
+    length = float(np.linalg.norm(array))
+    if not length > 0.0:
+        raise ValueError("a direction needs a length")
+    return array / length
+
+
+def tangents(normal: Array) -> Array:
+    """Two unit vectors (2, 3) that make a right-handed triad with `normal`: t0 x t1 = normal.
+
+    Deterministic: t0 is the projection of the x axis (of the y axis where x is nearly along the normal).
+    """
+    reference = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    first = unit(reference - (reference @ normal) * normal)
+    return np.stack([first, np.cross(normal, first)])
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneFrame:
+    """Coordinates on a plane: `origin` (3,), rows of `axes` (3, 3) are u, v and the normal w (right-handed)."""
+
+    origin: Array
+    axes: Array
+
+    @classmethod
+    def on(cls, point: Array, normal: Array) -> PlaneFrame:
+        """Frame at `point` with w along `normal`."""
+        return cls(np.asarray(point, dtype=np.float64), np.vstack([tangents(normal), normal]))
+
+    def into(self, points: Points) -> Array:
+        """(..., 3) -> (..., 3): u, v along the plane, w above it."""
+        return np.asarray((points - self.origin) @ self.axes.T, dtype=np.float64)
+
+    def out(self, coordinates: Array) -> Array:
+        """Inverse of `into`."""
+        return np.asarray(coordinates @ self.axes + self.origin)
+
+
+def wrap_rad(angle: Array) -> Array:
+    """Angles in (-pi, pi]."""
+    return np.asarray(np.pi - np.mod(np.pi - angle, 2.0 * np.pi))
+
+
+def viewpoint(grid: Points, *, samples: int = 4000) -> Array | None:
+    """Pinhole (3,) of an organised cloud (H, W, 3), in the cloud's own frame, or None where there is none.
+
+    Noise along the ray leaves the projection exact, so the camera matrix that carries points to their pixels follows
+    from the cloud itself (direct linear transform); its null space is the pinhole. The answer is only given when
+    pixels are met within 0.05 and the cloud has enough depth to fix it.
+    """
+    valid = np.flatnonzero(np.isfinite(grid[..., 2]))
+    if len(valid) < 200:
+        return None
+    chosen = valid[:: max(1, len(valid) // samples)]
+    rows, columns = np.divmod(chosen, grid.shape[1])
+    points = grid.reshape(-1, 3)[chosen].astype(np.float64)
+    centre, scale = points.mean(axis=0), float(points.std()) or 1.0
+    pixels = np.stack([columns, rows], axis=1).astype(np.float64)
+    middle, spread = pixels.mean(axis=0), float(pixels.std()) or 1.0
+    x = np.column_stack([(points - centre) / scale, np.ones(len(points))])
+    u = (pixels - middle) / spread
+    zero = np.zeros_like(x)
+    upper = np.hstack([x, zero, -u[:, :1] * x])
+    lower = np.hstack([zero, x, -u[:, 1:] * x])
+    matrix = np.vstack([upper, lower])
+    values, vectors = np.linalg.eigh(matrix.T @ matrix)
+    if values[1] < 1e-9 * values[-1]:  # all in one plane: the camera is not determined
+        return None
+    camera = vectors[:, 0].reshape(3, 4)
+    projected = x @ camera.T
+    misses = np.abs(projected[:, :2] / projected[:, 2:] - u) * spread
+    if not np.median(misses) < 0.05:
+        return None
+    null = np.linalg.svd(camera)[2][3]
+    if abs(null[3]) < 1e-9 * np.abs(null).max():
+        return None
+    return np.asarray(null[:3] / null[3] * scale + centre)

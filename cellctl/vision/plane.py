@@ -1,0 +1,193 @@
+"""Planes in a cloud with clutter (eq. 14-18 of the paper): RANSAC to find them, a robust refit to say where they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellctl.vision.geometry import Array, PlaneFrame
+from cellctl.vision.part import FaceFit, Refused
+
+TUKEY = 4.685  # 95 % efficient for white noise
+BLOCK_MM = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """n . p = d with unit `normal` (3,); `sigma_mm` is the robust scale of the residuals, `points` how many lie on it."""
+
+    normal: Array
+    distance_mm: float
+    sigma_mm: float
+    points: int
+
+    def residuals(self, points: Array) -> Array:
+        """Signed distances of points (..., 3) in mm, positive on the side of the normal."""
+        return np.asarray(points @ self.normal - self.distance_mm)
+
+
+def robust_sigma(residuals: Array) -> float:
+    """Standard deviation of the core of `residuals` about zero, from the median of the absolute values."""
+    return 1.4826 * float(np.median(np.abs(residuals)))
+
+
+def find_planes(
+    points: Array, rng: np.random.Generator, *, count: int = 4, tau_mm: float = 0.15, trials: int = 1000
+) -> tuple[Plane, ...]:
+    """Up to `count` planes in points (N, 3), the one with the most points first.
+
+    # eq. 14-16: three points make a plane, the plane with the most points within tau wins; k = 1000 trials
+    # eq. 17, corrected: |d| < tau, the paper's signed distance takes a whole half space
+    # eq. 18: l = 2 planes (face and ledge); more are looked for, because clutter has planes too
+    """
+    left = points
+    planes: list[Plane] = []
+    floor = max(50, len(points) // 200)
+    for _ in range(count):
+        if len(left) < 3 * floor:
+            break
+        found = _ransac(left, rng, tau_mm, trials)
+        if found is None:
+            break
+        plane = refit(left, found, tau_mm)
+        reach = max(tau_mm, 4.0 * plane.sigma_mm)
+        near = np.abs(plane.residuals(left)) < reach
+        if np.count_nonzero(near) < floor:
+            break
+        planes.append(plane)
+        left = left[~near]
+    return tuple(planes)
+
+
+def _ransac(points: Array, rng: np.random.Generator, tau_mm: float, trials: int) -> Plane | None:
+    """Best plane through three points out of `trials`, counted on a subset of the points."""
+    chosen = points[rng.integers(0, len(points), (trials, 3))]
+    normals = np.cross(chosen[:, 1] - chosen[:, 0], chosen[:, 2] - chosen[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    wide = lengths > 1e-3 * lengths.max(initial=0.0)
+    if not wide.any() or lengths.max() == 0.0:
+        return None
+    normals = normals[wide] / lengths[wide, None]
+    distances = np.einsum("ij,ij->i", normals, chosen[wide, 0])
+    judges = points[rng.permutation(len(points))[:3000]].astype(np.float32)
+    votes = (np.abs(normals.astype(np.float32) @ judges.T - distances[:, None].astype(np.float32)) < tau_mm).sum(axis=1)
+    # the best few are told apart after a refit: a tilted plane through three noisy points catches few votes
+    best: Plane | None = None
+    for index in np.argsort(-votes, kind="stable")[:3]:
+        plane = refit(judges.astype(np.float64), Plane(normals[index], float(distances[index]), tau_mm, 0), tau_mm)
+        if best is None or plane.points > best.points:
+            best = plane
+    return best
+
+
+def refit(points: Array, start: Plane, tau_mm: float) -> Plane:
+    """Tukey-weighted orthogonal refit to convergence with sigma from the data.
+
+    A single refit inside tau pins the plane to its start; this widens to what the data says and goes on until still.
+    """
+    normal, distance, sigma = start.normal, start.distance_mm, tau_mm
+    near = 0
+    for step in range(50):
+        residuals = points @ normal - distance
+        reach = TUKEY * (2.0 * tau_mm if step < 2 else sigma)
+        inside = np.abs(residuals) < reach
+        near = int(np.count_nonzero(inside))
+        if near < 3:
+            break
+        weights = (1.0 - (residuals[inside] / reach) ** 2) ** 2
+        selected = points[inside]
+        centre = weights @ selected / weights.sum()
+        offset = selected - centre
+        new = np.linalg.eigh((offset * weights[:, None]).T @ offset)[1][:, 0]
+        new = new if new @ normal > 0 else -new
+        moved = float(np.linalg.norm(new - normal)) * 100.0 + abs(float(new @ centre) - distance)
+        normal, distance = new, float(new @ centre)
+        residuals = points @ normal - distance
+        sigma = max(robust_sigma(residuals[np.abs(residuals) < max(reach, 3.0 * sigma)]), 1e-7)
+        if moved < 1e-7 and step > 3:
+            break
+    return Plane(normal, distance, sigma, near)
+
+
+def fit_face(points: Array, start: Plane, toward: Array) -> FaceFit:
+    """The face as a result: plane refitted on `points` (N, 3) of the face alone, normal on the side of `toward` (3,).
+
+    The covariance is the white-noise one times the inflation seen in blocks of 6 mm (neighbouring pixels share
+    noise). Raises Refused face_not_found with fewer than 50 points.
+    """
+    if len(points) < 50:
+        raise Refused("face_not_found", f"{len(points)} points on the face, at least 50 are needed")
+    plane = refit(points, start, max(3.0 * start.sigma_mm, 1e-6))
+    residuals = plane.residuals(points)
+    kept = np.abs(residuals) < TUKEY * plane.sigma_mm
+    if np.count_nonzero(kept) < 50:
+        raise Refused("face_not_found", "the face's points do not lie in one plane")
+    normal = plane.normal
+    centre = points[kept].mean(axis=0)
+    point = centre - (centre @ normal - plane.distance_mm) * normal
+    if (toward - point) @ normal < 0.0:
+        normal, residuals = -normal, -residuals
+    frame = PlaneFrame.on(point, normal)
+    local = frame.into(points[kept])
+    blocks = _blocks(local)
+    inflation = _inflation(local[:, 2], blocks, plane.sigma_mm)
+    # height above the plane at (u, v) = offset - tilt1 * u + tilt0 * v, right-handed about the two tangents
+    design = np.column_stack([np.ones(len(local)), local[:, 1], -local[:, 0]])
+    covariance = plane.sigma_mm**2 * inflation * np.linalg.inv(design.T @ design)
+    return FaceFit(
+        point_mm=point,
+        normal=normal,
+        tilt_axes=frame.axes[:2],
+        covariance=covariance,
+        sigma_mm=plane.sigma_mm,
+        flatness_mm=_flatness(local[:, 2], blocks, plane.sigma_mm),
+        points=int(np.count_nonzero(kept)),
+        inliers=float(np.mean(kept)),
+    )
+
+
+def _blocks(local: Array) -> tuple[NDArray[np.intp], tuple[int, int]]:
+    """Number of the block (row-major, BLOCK_MM wide) of each point, and the shape of the raster."""
+    cells = np.floor((local[:, :2] - local[:, :2].min(axis=0)) / BLOCK_MM).astype(np.intp)
+    shape = (int(cells[:, 0].max()) + 1, int(cells[:, 1].max()) + 1)
+    return cells[:, 0] * shape[1] + cells[:, 1], shape
+
+
+def _block_means(height: Array, blocks: tuple[NDArray[np.intp], tuple[int, int]]) -> tuple[Array, Array]:
+    index, shape = blocks
+    counts = np.bincount(index, minlength=shape[0] * shape[1]).reshape(shape).astype(np.float64)
+    sums = np.bincount(index, weights=height, minlength=shape[0] * shape[1]).reshape(shape)
+    enough = counts >= 0.3 * np.median(counts[counts > 0])
+    return np.where(enough, sums / np.maximum(counts, 1.0), np.nan), counts
+
+
+def _inflation(height: Array, blocks: tuple[NDArray[np.intp], tuple[int, int]], sigma_mm: float) -> float:
+    """How much more block means scatter than white noise would let them: the factor on a variance, at least 1.
+
+    Differences of neighbouring blocks are used (Allan variance), so that long waves, which belong to type B, do
+    not count.
+    """
+    means, counts = _block_means(height, blocks)
+    scatter = []
+    for first, second, n1, n2 in (
+        (means[1:], means[:-1], counts[1:], counts[:-1]),
+        (means[:, 1:], means[:, :-1], counts[:, 1:], counts[:, :-1]),
+    ):
+        both = np.isfinite(first) & np.isfinite(second)
+        scatter.append((first - second)[both] ** 2 / (1.0 / n1[both] + 1.0 / n2[both]))
+    values = np.concatenate(scatter)
+    return max(1.0, float(values.mean()) / sigma_mm**2) if len(values) >= 5 else 1.0
+
+
+def _flatness(height: Array, blocks: tuple[NDArray[np.intp], tuple[int, int]], sigma_mm: float) -> float:
+    """Peak-to-valley of the block means, less what noise alone gives them."""
+    means, counts = _block_means(height, blocks)
+    good = np.isfinite(means)
+    if np.count_nonzero(good) < 3:
+        return 0.0
+    span = float(np.ptp(means[good]))
+    noise = sigma_mm / np.sqrt(float(np.median(counts[good])))
+    expected = 2.0 * noise * np.sqrt(2.0 * np.log(np.count_nonzero(good)))  # range of n normal values
+    return float(np.sqrt(max(span**2 - expected**2, 0.0)))
