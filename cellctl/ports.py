@@ -76,17 +76,18 @@ class Checkpoint(Protocol):
 
 
 class Interlock(Protocol):
-    """Arms and disarms the force guard; the guard itself stops the axes."""
+    """Arms and disarms the force guard; the guard itself stops the axes and latches."""
 
     async def arm(self, limits: GuardLimits) -> None: ...
     async def disarm(self) -> GuardState:
-        """Disarm and return what the guard saw. Raises GuardTripped when it latched meanwhile."""
+        """Disarm and return what the guard saw; `tripped` stays latched until `rearm`."""
         ...
 
     async def rearm(self) -> None:
-        """Clear the latch after a trip and make every set-point the measured value."""
+        """Clear the latch after a trip."""
         ...
 
+    def state(self) -> GuardState: ...
     async def window(self, seconds: float) -> ForceBlock: ...
 
 

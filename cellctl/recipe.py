@@ -150,6 +150,8 @@ class Heat(Section):
     ramp_k_per_min: KelvinPerMinute = Field(default=10.0, gt=0)
     soak_s: Seconds = Field(default=60.0, ge=0)
     max_spread_k: Kelvin = Field(default=4.0, gt=0)
+    channel_gate_k: Kelvin = Field(default=8.0, gt=0)
+    pyrometer_gate_k: Kelvin = Field(default=12.0, gt=0)
     max_temperature_c: Celsius = 120.0
     max_power_w: Watt = Field(default=3000.0, gt=0)
     loop_break_s: Seconds = Field(default=90.0, gt=0)

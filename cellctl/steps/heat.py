@@ -1,0 +1,178 @@
+"""Phase heat, first half: warm the spigot, prove its temperature. The second half is `seat`."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import dataclass
+
+from cellctl.ports import RunContext, RunHeld
+from cellctl.recipe import Heat
+from cellctl.steps.results import Aligned, HeatProof, HeatSample
+
+LOOK_S = 2.0
+"""Cell seconds between two looks at the temperatures; a fraction of the fastest limit of the phase."""
+STUCK_K = 1e-6
+STUCK_LOOKS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Allowed temperature difference of the heated member against the other one, kelvin."""
+
+    low_k: float
+    high_k: float
+
+
+async def heat(run: RunContext, aligned: Aligned) -> HeatProof:
+    """Warm to the recipe's difference, soak, prove it by channels that agree. Leaves the heater regulating.
+
+    Raises RunHeld when a channel is implausible, the loop is open or the time is up.
+    """
+    recipe = run.recipe.heat
+    window = window_of(recipe, aligned)
+    return await _warm_and_soak(run, recipe, window)
+
+
+def window_of(recipe: Heat, aligned: Aligned) -> Window:
+    """Recipe's own tolerance cut with the two-sided window that fit and clearance leave (design page 1, E28b)."""
+    low = max(recipe.difference_k - recipe.difference_tolerance_k, aligned.alignment.t_min_k)
+    high = min(recipe.difference_k + recipe.difference_tolerance_k, aligned.alignment.t_max_k)
+    if low >= high:
+        raise RunHeld(
+            "temperature_window_empty",
+            f"no temperature opens the fit ({low:.1f} K) and keeps the studs free ({high:.1f} K)",
+        )
+    return Window(low, high)
+
+
+async def _warm_and_soak(run: RunContext, recipe: Heat, window: Window) -> HeatProof:
+    loop = asyncio.get_running_loop()
+    samples: list[HeatSample] = [await look(run)]
+    check_channels(recipe, samples)
+    setpoint = samples[0].rotor_c + recipe.difference_k
+    await _heat_to(run, recipe, setpoint)
+    start = loop.time()
+    soaking_since = math.inf
+    while True:
+        await run.checkpoint(lambda: _power_off(run), lambda: _heat_to(run, recipe, setpoint))
+        await asyncio.sleep(LOOK_S)
+        sample = await look(run)
+        samples.append(sample)
+        check_channels(recipe, samples)
+        check_loop(recipe, samples)
+        difference = mean_c(sample) - sample.rotor_c
+        run.progress.report(
+            "heat", min(0.9, max(0.0, difference / recipe.difference_k)), f"difference {difference:.1f} K"
+        )
+        if not window.low_k <= difference <= window.high_k:
+            soaking_since = math.inf
+        elif math.isinf(soaking_since):
+            soaking_since = sample.time_s
+        if sample.time_s - soaking_since >= recipe.soak_s and spread_k(sample) <= recipe.max_spread_k:
+            return proof(samples, window, sample.time_s - soaking_since)
+        if loop.time() - start > recipe.timeout_s:
+            raise RunHeld(
+                "heating_timeout",
+                f"after {recipe.timeout_s:.0f} s the difference is {difference:.1f} K, spread {spread_k(sample):.1f} K",
+            )
+
+
+def proof(samples: list[HeatSample], window: Window, soak_s: float) -> HeatProof:
+    """The frozen proof from the samples of the phase."""
+    last = samples[-1]
+    return HeatProof(
+        reached_c=mean_c(last),
+        difference_k=mean_c(last) - last.rotor_c,
+        spread_k=spread_k(last),
+        soak_s=soak_s,
+        window_low_k=window.low_k,
+        window_high_k=window.high_k,
+        samples=tuple(samples),
+    )
+
+
+async def look(run: RunContext) -> HeatSample:
+    """All temperature channels and the heater's power, read back one after the other."""
+    devices = run.devices
+    heater = await devices.heater.read()
+    if heater.alarm:
+        raise RunHeld("heater_alarm", f"the heater reports: {heater.alarm}")
+    return HeatSample(
+        time_s=asyncio.get_running_loop().time(),
+        spigot_1_c=(await devices.spigot_tc_1.read()).value,
+        spigot_2_c=(await devices.spigot_tc_2.read()).value,
+        pyrometer_c=(await devices.pyrometer.read()).value,
+        rotor_c=(await devices.rotor_tc.read()).value,
+        power_w=heater.power_w,
+    )
+
+
+def check_channels(recipe: Heat, samples: list[HeatSample]) -> None:
+    """Raises RunHeld when a channel is not finite, out of range, stuck, or disagrees with its neighbours."""
+    last = samples[-1]
+    channels = {name: getattr(last, name) for name in ("spigot_1_c", "spigot_2_c", "pyrometer_c", "rotor_c")}
+    for name, value in channels.items():
+        if not math.isfinite(value) or not -40.0 <= value <= 400.0:
+            raise RunHeld("temperature_implausible", f"{name} reads {value}")
+    if max(last.spigot_1_c, last.spigot_2_c) > recipe.max_temperature_c:
+        raise RunHeld(
+            "over_temperature",
+            f"the spigot is at {max(last.spigot_1_c, last.spigot_2_c):.1f} C (limit {recipe.max_temperature_c} C)",
+        )
+    if spread_k(last) > recipe.channel_gate_k:
+        raise RunHeld(
+            "temperatures_disagree",
+            f"the spigot's two channels differ by {spread_k(last):.1f} K (limit {recipe.channel_gate_k} K)",
+        )
+    if abs(last.pyrometer_c - mean_c(last)) > recipe.pyrometer_gate_k:
+        raise RunHeld(
+            "temperatures_disagree",
+            f"pyrometer {last.pyrometer_c:.1f} C against {mean_c(last):.1f} C of the contacts "
+            f"(limit {recipe.pyrometer_gate_k} K)",
+        )
+    recent = samples[-STUCK_LOOKS:]
+    for name in channels:
+        values = [getattr(sample, name) for sample in recent]
+        if len(recent) == STUCK_LOOKS and max(values) - min(values) < STUCK_K:
+            raise RunHeld("temperature_stuck", f"{name} has not moved at all in {STUCK_LOOKS} looks")
+
+
+def check_loop(recipe: Heat, samples: list[HeatSample]) -> None:
+    """Raises RunHeld when full power brings no rise: sensor fallen off, element broken, fuse blown."""
+    last = samples[-1]
+    since = [sample for sample in samples if sample.time_s >= last.time_s - recipe.loop_break_s]
+    if last.time_s - samples[0].time_s < recipe.loop_break_s:
+        return
+    powered = min(sample.power_w for sample in since) > 0.5 * recipe.max_power_w
+    if powered and mean_c(last) - mean_c(since[0]) < recipe.loop_break_rise_k:
+        raise RunHeld(
+            "heater_loop_break",
+            f"{recipe.loop_break_s:.0f} s of power raised the spigot by less than {recipe.loop_break_rise_k} K",
+        )
+
+
+def mean_c(sample: HeatSample) -> float:
+    """Mean of the two contact channels on the spigot."""
+    return 0.5 * (sample.spigot_1_c + sample.spigot_2_c)
+
+
+def spread_k(sample: HeatSample) -> float:
+    """Difference between the two contact channels on the spigot."""
+    return abs(sample.spigot_1_c - sample.spigot_2_c)
+
+
+async def _heat_to(run: RunContext, recipe: Heat, setpoint_c: float) -> None:
+    arguments = {"setpoint_c": setpoint_c, "ramp_k_per_min": recipe.ramp_k_per_min, "max_power_w": recipe.max_power_w}
+    await run.ledger.act(
+        "heater",
+        "heat",
+        arguments,
+        lambda key: run.devices.heater.heat(
+            setpoint_c, ramp_k_per_min=recipe.ramp_k_per_min, max_power_w=recipe.max_power_w
+        ),
+    )
+
+
+async def _power_off(run: RunContext) -> None:
+    await run.ledger.act("heater", "off", {}, lambda key: run.devices.heater.off())

@@ -1,0 +1,22 @@
+"""Two things at once, of which neither is cut short because the other failed."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable
+from typing import TypeVar
+
+A = TypeVar("A")
+B = TypeVar("B")
+
+
+async def together(first: Awaitable[A], second: Awaitable[B]) -> tuple[A, B]:
+    """Await both to their ends, then raise the first error, if any. Cancelling it cancels both.
+
+    A gun that is tightening must not be torn off because its opposite reported an error: its result would be lost.
+    """
+    one, other = await asyncio.gather(first, second, return_exceptions=True)
+    for outcome in (one, other):
+        if isinstance(outcome, BaseException):
+            raise outcome
+    return one, other  # type: ignore[return-value]  # exceptions were raised above
