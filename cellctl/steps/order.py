@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,8 +20,8 @@ class Pair:
 def pairs(angles_deg: tuple[float, ...], order: Literal["star", "sequential"]) -> tuple[Pair, ...]:
     """All opposite pairs in the order of one pass.
 
-    Star: each next pair lies as far from the ones just tightened as the pattern allows (bit-reversed order over the
-    half circle), as usual for flange joints (ASME PCC-1). Raises ConfigError where a joint has no opposite.
+    Star: each next pair lies as far from the ones tightened before as the pattern allows, over the half circle, as
+    usual for flange joints (ASME PCC-1). Raises ConfigError where a joint has no opposite.
     """
     found = []
     for index, angle in enumerate(angles_deg):
@@ -33,10 +32,16 @@ def pairs(angles_deg: tuple[float, ...], order: Literal["star", "sequential"]) -
 
 
 def star(count: int) -> tuple[int, ...]:
-    """0..count-1 in bit-reversed order: 0, 1/2, 1/4, 3/4, ... of the half circle."""
-    bits = max(1, math.ceil(math.log2(max(count, 2))))
-    reversed_bits = (int(format(i, f"0{bits}b")[::-1], 2) for i in range(2**bits))
-    return tuple(i for i in reversed_bits if i < count)
+    """0..count-1, each next one as far as possible from those before it on the circle of `count` places."""
+    left = list(range(count))
+    order: list[int] = []
+    distance = [count] * count
+    while left:
+        chosen = max(left, key=lambda i: (distance[i], -i))
+        left.remove(chosen)
+        order.append(chosen)
+        distance = [min(far, abs(i - chosen), count - abs(i - chosen)) for i, far in enumerate(distance)]
+    return tuple(order)
 
 
 def _opposite(angles_deg: tuple[float, ...], index: int) -> int:
