@@ -1,0 +1,178 @@
+"""True motion of one axis: trapezoidal profiles, quick stop, brake. Evaluated at a time, never ticked.
+
+Positions here are the motor's, which is what the encoder reads; `hal.fake.stack` turns them into true poses with
+backlash, scale and encoder error. Units are the axis' own (mm or deg) and seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Pieces of constant acceleration: piece k starts at `times[k]` in (position, velocity, acceleration)[k]."""
+
+    times: Array
+    positions: Array
+    velocities: Array
+    accelerations: Array
+
+    def _piece(self, time_s: ArrayLike) -> tuple[NDArray[np.intp], Array]:
+        time = np.asarray(time_s, dtype=np.float64)
+        piece = np.maximum(np.searchsorted(self.times, time, side="right") - 1, 0)
+        return piece, np.maximum(time - self.times[piece], 0.0)
+
+    def position_at(self, time_s: ArrayLike) -> Array:
+        """Position, same shape as `time_s`."""
+        piece, dt = self._piece(time_s)
+        value = self.positions[piece] + dt * (self.velocities[piece] + 0.5 * dt * self.accelerations[piece])
+        return np.asarray(value)
+
+    def velocity_at(self, time_s: ArrayLike) -> Array:
+        """Velocity per second, same shape as `time_s`."""
+        piece, dt = self._piece(time_s)
+        return np.asarray(self.velocities[piece] + dt * self.accelerations[piece])
+
+    def acceleration_at(self, time_s: ArrayLike) -> Array:
+        """Acceleration per second squared, same shape as `time_s`."""
+        return np.asarray(self.accelerations[self._piece(time_s)[0]])
+
+    @property
+    def end_s(self) -> float:
+        """When it stands for good."""
+        return float(self.times[-1])
+
+    @property
+    def target(self) -> float:
+        """Where it ends."""
+        return float(self.positions[-1])
+
+
+def standing(position: float, now: float) -> Trajectory:
+    """At rest at `position` since `now`."""
+    return _pieces([(now, position, 0.0, 0.0)])
+
+
+def trapezoid(start: float, target: float, speed: float, acceleration: float, now: float) -> Trajectory:
+    """From rest at `start` to rest at `target`. `speed` and `acceleration` are magnitudes > 0."""
+    distance = abs(target - start)
+    if distance == 0.0:
+        return standing(target, now)
+    sign = math.copysign(1.0, target - start)
+    peak = min(speed, math.sqrt(acceleration * distance))
+    ramp_s, ramp = peak / acceleration, 0.5 * peak * peak / acceleration
+    cruise_s = (distance - 2.0 * ramp) / peak
+    v, a = sign * peak, sign * acceleration
+    return _pieces(
+        [
+            (now, start, 0.0, a),
+            (now + ramp_s, start + sign * ramp, v, 0.0),
+            (now + ramp_s + cruise_s, target - sign * ramp, v, -a),
+            (now + 2.0 * ramp_s + cruise_s, target, 0.0, 0.0),
+        ]
+    )
+
+
+def stopping(position: float, velocity: float, acceleration: float, now: float) -> Trajectory:
+    """Quick stop from (`position`, `velocity`) with the magnitude `acceleration`."""
+    if velocity == 0.0:
+        return standing(position, now)
+    stop_s = abs(velocity) / acceleration
+    end = position + 0.5 * velocity * stop_s
+    return _pieces([(now, position, velocity, -math.copysign(acceleration, velocity)), (now + stop_s, end, 0.0, 0.0)])
+
+
+def falling(position: float, velocity: float, gravity: float, seconds: float, floor: float, now: float) -> Trajectory:
+    """Free fall with `gravity` (magnitude) for `seconds` until a brake holds, no lower than `floor`."""
+    end = position + seconds * (velocity - 0.5 * gravity * seconds)
+    if end < floor:
+        root = math.sqrt(velocity * velocity + 2.0 * gravity * max(position - floor, 0.0))
+        seconds, end = (velocity + root) / gravity, floor
+    return _pieces([(now, position, velocity, -gravity), (now + seconds, end, 0.0, 0.0)])
+
+
+def _pieces(rows: list[tuple[float, float, float, float]]) -> Trajectory:
+    time, position, velocity, acceleration = np.array(rows, dtype=np.float64).T
+    return Trajectory(time, position, velocity, acceleration)
+
+
+class AxisMotion:
+    """The motor of one axis and the drive's own state, which live as long as the plant does.
+
+    `direction` is the sign of the last motion: backlash and friction remember it. `version` grows with each change.
+    """
+
+    def __init__(self, position: float = 0.0, now: float = 0.0) -> None:
+        self.now_at = standing(position, now)
+        self._before = self.now_at
+        self._changed_s = now
+        self.direction = 1.0
+        self.version = 0
+        self.homed = False
+        self.enabled = True
+        self.brake_closes_s = now
+
+    def start(self, trajectory: Trajectory, now: float) -> None:
+        """Replace what the axis does from `now` on."""
+        self._before, self._changed_s = self.now_at, now
+        self.now_at = trajectory
+        velocity = trajectory.target - float(trajectory.position_at(now))
+        if velocity != 0.0:
+            self.direction = math.copysign(1.0, velocity)
+        self.version += 1
+
+    def move(self, target: float, speed: float, acceleration: float, now: float) -> Trajectory:
+        """Profile to `target` from where the axis stands at `now` (a moving axis is stopped at its present place)."""
+        self.start(trapezoid(self.position(now), target, speed, acceleration, now), now)
+        self.brake_closes_s = math.inf
+        return self.now_at
+
+    def stop(self, acceleration: float, now: float, brake_delay_s: float) -> Trajectory:
+        """Quick stop; the brake is closed `brake_delay_s` after standstill."""
+        if self.moving(now):
+            self.start(stopping(self.position(now), self.velocity(now), acceleration, now), now)
+        if math.isinf(self.brake_closes_s):
+            self.brake_closes_s = self.now_at.end_s + brake_delay_s
+        return self.now_at
+
+    def fall(self, gravity: float, seconds: float, floor: float, now: float) -> Trajectory:
+        """Power is gone while the brake is open: the load falls until the brake holds."""
+        self.start(falling(self.position(now), self.velocity(now), gravity, seconds, floor, now), now)
+        self.brake_closes_s = now + seconds
+        return self.now_at
+
+    def position(self, now: float) -> float:
+        """Motor position at `now`."""
+        return float(self.positions(np.array([now]))[0])
+
+    def velocity(self, now: float) -> float:
+        """Motor velocity at `now`."""
+        return float(self.velocities(np.array([now]))[0])
+
+    def moving(self, now: float) -> bool:
+        """Whether the profile is still running at `now`."""
+        return now < self.now_at.end_s
+
+    def positions(self, time_s: Array) -> Array:
+        """Motor positions (n,) at times (n,), the trajectory before the last change included."""
+        if time_s.size and time_s[0] >= self._changed_s:
+            return self.now_at.position_at(time_s)
+        return np.where(time_s < self._changed_s, self._before.position_at(time_s), self.now_at.position_at(time_s))
+
+    def velocities(self, time_s: Array) -> Array:
+        """Motor velocities (n,)."""
+        if time_s.size and time_s[0] >= self._changed_s:
+            return self.now_at.velocity_at(time_s)
+        return np.where(time_s < self._changed_s, self._before.velocity_at(time_s), self.now_at.velocity_at(time_s))
+
+    def accelerations(self, time_s: Array) -> Array:
+        """Motor accelerations (n,)."""
+        before, after = self._before.acceleration_at(time_s), self.now_at.acceleration_at(time_s)
+        return np.where(time_s < self._changed_s, before, after)
