@@ -1,0 +1,187 @@
+"""Arrays (scans, traces, force curves) stored by the hash of their content.
+
+The hash is SHA-256 over names and npy bytes, so it does not depend on compression, machine or whether the blob is
+kept. A stored blob is an npz file (numpy.load opens it), synced before its hash goes into the journal.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import io
+import os
+import zipfile
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellctl.records.chain import Row
+from cellctl.records.errors import JournalUnavailable, RecordCorrupt
+
+Keep = Literal["all", "decision", "none"]
+"""Which scans are kept: every one, those that a measurement was taken from, or none. Traces and curves always are."""
+
+Arrays = Mapping[str, NDArray[Any]]
+ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
+MAX_BLOB_BYTES = 1 << 30
+"""Unpacked size beyond which a blob is taken for a bomb: fifteen times the largest scan."""
+
+
+class Blobs(Protocol):
+    """Where arrays go. `put` returns the content hash once the blob is durable."""
+
+    async def put(self, arrays: Arrays, *, scan: bool) -> str: ...
+    async def close(self) -> None: ...
+
+
+class BlobStore:
+    """A folder of npz files named by content hash, written by one thread of its own."""
+
+    def __init__(self, folder: Path, *, keep: Keep = "all") -> None:
+        self._folder = folder
+        self._keep = keep
+        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="blobs")
+
+    async def put(self, arrays: Arrays, *, scan: bool) -> str:
+        """Raises JournalUnavailable where it cannot be written."""
+        loop = asyncio.get_running_loop()
+        if scan and self._keep == "none":
+            return await loop.run_in_executor(self._executor, content_hash, arrays)
+        return await loop.run_in_executor(self._executor, store, self._folder, arrays)
+
+    async def close(self) -> None:
+        self._executor.shutdown(wait=True)
+
+
+class HashOnly:
+    """For studies: content hashes as in any other store, nothing kept."""
+
+    async def put(self, arrays: Arrays, *, scan: bool) -> str:
+        return content_hash(arrays)
+
+    async def close(self) -> None:
+        """Nothing to close."""
+
+
+def content_hash(arrays: Arrays) -> str:
+    """SHA-256 (hex) over names and npy bytes, names in order."""
+    digest = hashlib.sha256()
+    for name, data in _members(arrays):
+        digest.update(f"{name}\0{len(data)}\0".encode())
+        digest.update(data)
+    return digest.hexdigest()
+
+
+def store(folder: Path, arrays: Arrays) -> str:
+    """Write the blob unless it is there, sync file and folder, return its content hash. Blocking."""
+    digest = content_hash(arrays)
+    path = folder / f"{digest}.npz"
+    if path.exists():
+        return digest
+    part = path.with_suffix(".part")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with part.open("wb") as file:
+            file.write(packed(arrays))
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+        sync_folder(folder)
+    except OSError as error:
+        raise JournalUnavailable(f"a blob cannot be written: {error}") from None
+    return digest
+
+
+def packed(arrays: Arrays) -> bytes:
+    """npz bytes that depend on the arrays alone."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, data in _members(arrays):
+            info = zipfile.ZipInfo(f"{name}.npy", ZIP_EPOCH)
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.create_system = 3
+            archive.writestr(info, data)
+    return buffer.getvalue()
+
+
+def unpacked(data: bytes) -> dict[str, NDArray[Any]]:
+    """Arrays of npz bytes. Raises RecordCorrupt for anything else, pickles and bombs included."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(info.file_size for info in archive.infolist()) > MAX_BLOB_BYTES:
+                raise RecordCorrupt("a blob is larger than any scan")
+            return {info.filename.removesuffix(".npy"): _array(archive.read(info)) for info in archive.infolist()}
+    except (zipfile.BadZipFile, ValueError, EOFError, OSError, NotImplementedError, RuntimeError) as error:
+        raise RecordCorrupt(f"a blob cannot be read: {error}") from None
+
+
+def load(folder: Path, digest: str) -> dict[str, NDArray[Any]]:
+    """Arrays of the blob with content hash `digest`. Raises RecordCorrupt where it is missing or changed. Blocking."""
+    try:
+        arrays = unpacked((folder / f"{digest}.npz").read_bytes())
+    except OSError as error:
+        raise RecordCorrupt(f"blob {digest[:12]} is missing: {error}") from None
+    if content_hash(arrays) != digest:
+        raise RecordCorrupt(f"blob {digest[:12]} is not what was written")
+    return arrays
+
+
+def dropped_by(keep: Keep, rows: tuple[Row, ...]) -> frozenset[str]:
+    """Hashes of the scans that the policy does not keep, from a run's journal.
+
+    A decision scan is the last one of its view before a measurement or an artefact check was taken from it.
+    """
+    scans: set[str] = set()
+    latest: dict[str, str] = {}
+    decided: set[str] = set()
+    for row in rows:
+        if row.kind == "blob" and is_scan(row.value["kind"]):
+            value = row.value
+            scans.add(value["blob"])
+            latest[value["kind"]] = value["blob"]
+        elif row.kind in DECISIONS:
+            decided.add(latest.get(DECISIONS[row.kind].format(row.value.get("side")), ""))
+    if keep == "all":
+        return frozenset()
+    return frozenset(scans - decided if keep == "decision" else scans)
+
+
+DECISIONS = MappingProxyType({"measurement": "scan_{}", "artefact": "scan_artefact_{}"})
+"""Kind of row that a decision stands on, and the kind of the scan that it was taken from."""
+
+
+def is_scan(kind: str) -> bool:
+    """Whether a blob of that kind, or from that device, is a camera's cloud."""
+    return kind.startswith("scan")
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a rename in `folder` durable."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _members(arrays: Arrays) -> list[tuple[str, bytes]]:
+    return [(name, _npy(np.asarray(arrays[name]))) for name in sorted(arrays)]
+
+
+def _npy(array: NDArray[Any]) -> bytes:
+    if array.dtype.hasobject:
+        raise TypeError("an array of objects has no canonical form")
+    buffer = io.BytesIO()
+    little = array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
+    np.lib.format.write_array(buffer, np.ascontiguousarray(little), version=(1, 0), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    array: NDArray[Any] = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+    return array
