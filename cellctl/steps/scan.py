@@ -87,9 +87,8 @@ async def measure(run: RunContext, side: Side) -> PartMeasurement:
 
 
 async def _capture(run: RunContext, view: View) -> Frame:
-    frame = await run.ledger.act("scanner", "capture", {"view": view}, lambda key: run.devices.scanner.capture(view))
-    await run.ledger.blob(f"scan_{view}", {"points_mm": frame.points_mm})
-    return frame
+    """The cloud itself goes with the command's result: the ledger stores it by content hash."""
+    return await run.ledger.act("scanner", "capture", {"view": view}, lambda key: run.devices.scanner.capture(view))
 
 
 async def _present(run: RunContext) -> None:
