@@ -37,7 +37,9 @@ def test_hole_match_covariance_is_that_of_its_errors() -> None:
     sigma = generator.uniform(0.005, 0.02, 36)
     errors = []
     for _ in range(800):
-        match = match_holes(ring() + generator.normal(0, sigma[:, None], (36, 2)), ring(), sigma**2, np.zeros(2), d0_mm=1)
+        match = match_holes(
+            ring() + generator.normal(0, sigma[:, None], (36, 2)), ring(), sigma**2, np.zeros(2), d0_mm=1
+        )
         errors.append([*match.shift_mm, match.theta_rad])
     ratio = np.std(errors, axis=0) / np.sqrt(np.diag(match.covariance))
     assert np.all(np.abs(ratio - 1.0) < 0.1)
@@ -90,7 +92,9 @@ def test_faces_gap_and_tilt_are_exact() -> None:
     for _ in range(200):
         tilt, azimuth, gap = generator.uniform(0, 1.0), generator.uniform(0, 2 * np.pi), generator.uniform(1, 300)
         axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-        normal = np.cos(np.radians(tilt)) * np.array([0, 0, 1.0]) + np.sin(np.radians(tilt)) * np.cross(axis, [0, 0, 1.0])
+        normal = np.cos(np.radians(tilt)) * np.array([0, 0, 1.0]) + np.sin(np.radians(tilt)) * np.cross(
+            axis, [0, 0, 1.0]
+        )
         across = np.cross(normal, axis)
         plane = ring() @ np.stack([axis, across])
         rotor_points = np.column_stack([ring(), np.full(36, gap)])
