@@ -1,0 +1,228 @@
+"""Fake heater and thermometers: links to the plant's heater controller and sensors."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import numpy as np
+
+from hal.errors import ConfigError, DeviceRefused, NotConnected, SafetyOpen
+from hal.fake.faults import FaultBook
+from hal.fake.heater_control import HeaterControl
+from hal.fake.plant import Plant
+from hal.fake.thermal import pyrometer_c
+from hal.fake.thermal_state import Thermal, drawn_imperfections, drawn_properties
+from hal.interfaces import HeaterState, Identity, Reading, SafeState
+
+EXCHANGE_S = 0.01
+"""One request and its answer on the wire."""
+SITES = {"spigot_tc_1": 0, "spigot_tc_2": 1, "rotor_tc": 2}
+
+
+class _Link:
+    """What heater and thermometers share: a name, a plant, a link that is up or down."""
+
+    def __init__(self, name: str, plant: Plant, faults: FaultBook, model: str) -> None:
+        self._name = name
+        self._plant = plant
+        self._faults = faults
+        self._model = model
+        self._connected = False
+
+    async def _exchange(self, command: str) -> float:
+        """One request and answer; returns the loop time with the plant advanced to it."""
+        if not self._connected:
+            raise NotConnected(f"not connected ({command})", device=self._name)
+        await self._faults.gate(self._name, command)
+        await asyncio.sleep(EXCHANGE_S)
+        now = asyncio.get_running_loop().time()
+        self._plant.advance(now)
+        return now
+
+    async def _identify(self) -> Identity:
+        await self._faults.gate(self._name, "connect")
+        self._connected = True
+        return Identity("cellctl", self._model, f"{self._name}-1", "1.0", simulated=True)
+
+    @property
+    def name(self) -> str:
+        """Name in the cell file."""
+        return self._name
+
+
+class FakeThermometer(_Link):
+    """`spigot_tc_1`, `spigot_tc_2`, `rotor_tc` (contact thermocouples) or `pyrometer`. Implements `Thermometer`."""
+
+    def __init__(self, name: str, plant: Plant, faults: FaultBook) -> None:
+        """Raises ConfigError for a name that has no place on the joint."""
+        super().__init__(name, plant, faults, "pyrometer" if name == "pyrometer" else "thermocouple")
+        if name != "pyrometer" and name not in SITES:
+            raise ConfigError("has no place on the joint", place=f"devices.{name}")
+        self._rng: np.random.Generator = plant.rng(name, "noise")
+
+    async def connect(self) -> Identity:
+        """Prove the sensor's identity."""
+        return await self._identify()
+
+    async def close(self) -> None:
+        """Drop the link."""
+        self._connected = False
+
+    async def halt(self) -> None:
+        """A sensor does nothing that could be stopped; the exchange proves that it is there."""
+        await self._exchange("halt")
+
+    async def safe(self) -> SafeState:
+        """A sensor is always safe once it answers."""
+        await self._exchange("safe")
+        return SafeState(True, "a sensor only")
+
+    async def rearm(self) -> None:
+        """Nothing is set."""
+        await self._exchange("rearm")
+
+    async def read(self) -> Reading:
+        """Temperature in degrees Celsius."""
+        now = await self._exchange("read")
+        return self._faults.reading(self._name, self._seen_c(now), now)
+
+    def _seen_c(self, now: float) -> float:
+        thermal = thermal_of(self._plant)
+        sensors = thermal.imperfections
+        if self._name != "pyrometer":
+            return thermal.thermocouple_c(SITES[self._name]) + sensors.thermocouple_noise_k * self._noise()
+        wrong = self._faults.active(self._name, "wrong_emissivity", now)
+        emissivity = sensors.emissivity * (wrong.number if wrong else 1.0)
+        ambient_c = thermal.properties.ambient_c
+        shown = pyrometer_c(thermal.spigot_c, ambient_c, emissivity, sensors.set_emissivity)
+        return shown + sensors.pyrometer_noise_k * self._noise()
+
+    def _noise(self) -> float:
+        return float(self._rng.standard_normal())
+
+
+class FakeHeater(_Link):
+    """Link to the plant's heater controller. Implements `Heater`."""
+
+    def __init__(self, name: str, plant: Plant, faults: FaultBook, max_power_w: float) -> None:
+        super().__init__(name, plant, faults, "heater controller")
+        self._max_power_w = max_power_w
+
+    @property
+    def max_power_w(self) -> float:
+        """What the power stage can give."""
+        return self._max_power_w
+
+    async def connect(self) -> Identity:
+        """Prove the controller's identity; it watches this link from now on."""
+        identity = await self._identify()
+        control = self._control()
+        control.faults = self._faults
+        control.stage_w = self._max_power_w
+        control.link_lost_s = math.inf
+        return identity
+
+    async def close(self) -> None:
+        """Drop the link; a controller left regulating trips off-line by its watchdog."""
+        if self._connected:
+            self._connected = False
+            self._control().link_lost_s = asyncio.get_running_loop().time()
+
+    async def halt(self) -> None:
+        """Open the contactor, read back."""
+        state = await self.off()
+        if state.on:
+            raise DeviceRefused("the contactor does not open", device=self._name)
+
+    async def safe(self) -> SafeState:
+        """Safe with the contactor open and no power asked."""
+        state = await self.read()
+        return SafeState(not state.on and state.power_w == 0.0, "contactor open" if not state.on else "heating")
+
+    async def rearm(self) -> None:
+        """Clear a latched alarm whose cause is gone; the set-point becomes what is measured; power stays off.
+
+        Raises SafetyOpen while the safety circuit is open.
+        """
+        now = await self._exchange("rearm")
+        control = self._control()
+        if cut := self._faults.power_cut(now):
+            raise SafetyOpen(f"no power ({cut})", device=self._name)
+        control.alarm = ""
+        if not control.on:
+            control.setpoint_c = thermal_of(self._plant).thermocouple_c(0)
+
+    async def read(self) -> HeaterState:
+        """What the controller says of itself."""
+        now = await self._exchange("read")
+        return self._state(now)
+
+    async def heat(self, setpoint_c: float, *, ramp_k_per_min: float, max_power_w: float) -> HeaterState:
+        """Regulate. Raises DeviceRefused (alarm latched, value out of range), SafetyOpen (no power)."""
+        now = await self._exchange("heat")
+        control = self._control()
+        if cut := self._faults.power_cut(now):
+            raise SafetyOpen(f"no power ({cut})", device=self._name)
+        if control.alarm:
+            raise DeviceRefused(f"alarm: {control.alarm}", device=self._name)
+        limit_c = control.settings.limit_switch_c
+        if not setpoint_c < limit_c:
+            raise DeviceRefused(f"set-point {setpoint_c} C (limit {limit_c} C)", device=self._name)
+        if not 0.0 < max_power_w <= self._max_power_w:
+            raise DeviceRefused(f"power {max_power_w} W (limit {self._max_power_w} W)", device=self._name)
+        if not ramp_k_per_min > 0.0:
+            raise DeviceRefused(f"ramp {ramp_k_per_min} K/min", device=self._name)
+        if not self._faults.active(self._name, "setpoint_not_taken", now):
+            self._settle(now)
+            control.start(setpoint_c, ramp_k_per_min, max_power_w)
+        return self._state(now)
+
+    async def off(self) -> HeaterState:
+        """Open the contactor."""
+        now = await self._exchange("off")
+        self._settle(now)
+        self._control().stop()
+        return self._state(now)
+
+    def _settle(self, now: float) -> None:
+        thermal_of(self._plant).settle(now, self._plant.gap_mm())
+
+    def _control(self) -> HeaterControl:
+        source = thermal_of(self._plant).source
+        if not isinstance(source, HeaterControl):
+            raise ConfigError("the plant has no heater controller", place=f"devices.{self._name}")
+        return source
+
+    def _state(self, now: float) -> HeaterState:
+        control = self._control()
+        if control.on and (cut := self._faults.power_cut(now)):
+            control.trip(f"safety circuit open ({cut})")
+        return HeaterState(
+            setpoint_c=control.setpoint_c,
+            power_w=control.output_w,
+            on=control.on,
+            watchdog_armed=self._connected,
+            alarm=control.alarm,
+            time_s=now,
+        )
+
+
+def thermal_of(plant: Plant) -> Thermal:
+    """The plant's heat. Raises ConfigError on a bench without one."""
+    if not isinstance(plant.thermal, Thermal):
+        raise ConfigError("the plant has no heat", place="plant.thermal")
+    return plant.thermal
+
+
+def install_heat(plant: Plant) -> Thermal:
+    """Give the plant its heat and a heater controller; returns the heat."""
+    thermal = Thermal(
+        drawn_properties(plant.geometry, plant.numbers),
+        drawn_imperfections(plant.numbers, plant.rng("thermal")),
+        lambda: plant.shaft,
+        plant.now,
+    )
+    thermal.source = HeaterControl()
+    plant.thermal = thermal
+    return thermal
