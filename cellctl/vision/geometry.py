@@ -46,12 +46,13 @@ def unit(vector: Any) -> Array:
     return array / length
 
 
-def tangents(normal: Array) -> Array:
+def tangents(normal: Array, reference: Array | None = None) -> Array:
     """Two unit vectors (2, 3) that make a right-handed triad with `normal`: t0 x t1 = normal.
 
-    Deterministic: t0 is the projection of the x axis (of the y axis where x is nearly along the normal).
+    Deterministic: t0 is the projection of `reference`, else of the x axis (of y where that is nearly along the normal).
     """
-    reference = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    if reference is None or abs(float(normal @ reference)) > 0.9:
+        reference = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     first = unit(reference - (reference @ normal) * normal)
     return np.stack([first, np.cross(normal, first)])
 
@@ -64,9 +65,9 @@ class PlaneFrame:
     axes: Array
 
     @classmethod
-    def on(cls, point: Array, normal: Array) -> PlaneFrame:
-        """Frame at `point` with w along `normal`."""
-        return cls(np.asarray(point, dtype=np.float64), np.vstack([tangents(normal), normal]))
+    def on(cls, point: Array, normal: Array, reference: Array | None = None) -> PlaneFrame:
+        """Frame at `point` with w along `normal` and u along the projection of `reference` (else of x)."""
+        return cls(np.asarray(point, dtype=np.float64), np.vstack([tangents(normal, reference), normal]))
 
     def into(self, points: Points) -> Array:
         """(..., 3) -> (..., 3): u, v along the plane, w above it."""

@@ -1,4 +1,4 @@
-"""Planes in a cloud with clutter (eq. 14-18 of the paper): RANSAC to find them, a robust refit to say where they are."""
+"""Planes in a cloud with clutter (eq. 14-18 of the paper): RANSAC finds them, a robust refit says where they are."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BLOCK_MM = 6.0
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """n . p = d with unit `normal` (3,); `sigma_mm` is the robust scale of the residuals, `points` how many lie on it."""
+    """n . p = d with unit `normal` (3,); `sigma_mm` is the robust scale of residuals, `points` how many lie on it."""
 
     normal: Array
     distance_mm: float
@@ -91,7 +91,7 @@ def refit(points: Array, start: Plane, tau_mm: float) -> Plane:
     near = 0
     for step in range(50):
         residuals = points @ normal - distance
-        reach = TUKEY * (2.0 * tau_mm if step < 2 else sigma)
+        reach = 2.0 * tau_mm if step < 2 else TUKEY * sigma
         inside = np.abs(residuals) < reach
         near = int(np.count_nonzero(inside))
         if near < 3:

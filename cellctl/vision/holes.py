@@ -1,0 +1,180 @@
+"""Holes on the face (eq. 19-20): each nominal place is looked at, every hole is found or reported missing.
+
+Works in the part's approximate frame: origin at the pattern's centre on the face, u through its zero angle, w out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellctl.vision import hole_model
+from cellctl.vision.geometry import Array
+from cellctl.vision.outline import Outline, fit_outline
+from cellctl.vision.part import Part
+from cellctl.vision.pattern import nominal
+
+MIN_INNER_POINTS = 25
+MIN_ARC = 0.5
+MAX_FILL = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Hole:
+    """One hole in the face's coordinates: centre (2,) on the face, axis slopes (2,), `covariance` (4, 4) of both.
+
+    `by` says what the centre rests on. Where it was not found, `reason` says why and the numbers are NaN.
+    """
+
+    found: bool
+    centre_mm: Array
+    slopes: Array
+    radius_mm: float
+    covariance: Array
+    points: int
+    residual_mm: float
+    by: str = "model"
+    reason: str = ""
+
+
+def missing(reason: str) -> Hole:
+    """A hole that was not found."""
+    nothing = np.full(2, np.nan)
+    return Hole(False, nothing, nothing, float("nan"), np.full((4, 4), np.nan), 0, float("nan"), "", reason)
+
+
+def void_radii(part: Part) -> Array:
+    """Radius (n,) of the void that each hole leaves in the face, as far as the recipe tells; NaN where unknown."""
+    sizes = np.full(part.count, np.nan) if part.diameter_mm is None else np.asarray(part.diameter_mm, dtype=np.float64)
+    if part.chamfer_diameter_mm is not None:
+        sizes = np.fmax(sizes, part.chamfer_diameter_mm)
+    return np.asarray(0.5 * sizes)
+
+
+def measure_holes(
+    local: Array, part: Part, radii_mm: Array, eye: Array | None, spacing_mm: float, sigma_mm: float
+) -> tuple[Hole, ...]:
+    """All holes of the part from points (N, 3) in the part's approximate frame.
+
+    `radii_mm` (n,) are the voids' radii, `eye` (3,) the pinhole in the same frame or None, `sigma_mm` the noise of
+    the face, `spacing_mm` its point spacing.
+    """
+    centres = nominal(part)
+    owner, near = _gather(local, part, centres, radii_mm)
+    points = local[near]
+    outlines: list[Outline | None] = []
+    starts = np.searchsorted(owner, np.arange(part.count + 1))
+    for k in range(part.count):
+        around = points[starts[k] : starts[k + 1]]
+        face = around[np.abs(around[:, 2]) < 4.0 * sigma_mm, :2]
+        outlines.append(fit_outline(face, centres[k], float(radii_mm[k]), spacing_mm))
+    reasons = [_why_missing(outlines[k], centres[k], float(radii_mm[k])) for k in range(part.count)]
+    by_outline = [
+        missing(reason) if reason or outline is None else _from_outline(outline)
+        for outline, reason in zip(outlines, reasons, strict=True)
+    ]
+    chosen = [k for k in range(part.count) if by_outline[k].found]
+    modelled = _by_model(points, starts, chosen, by_outline, part, eye, sigma_mm)
+    return tuple(
+        modelled[k] if k in modelled and _better(modelled[k], by_outline[k]) else by_outline[k]
+        for k in range(part.count)
+    )
+
+
+def _gather(local: Array, part: Part, centres: Array, radii_mm: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Nearest hole of every point that lies around one: (owner, index of the point), sorted by owner."""
+    reach = np.minimum(1.7 * radii_mm + 1.0, _half_gap(centres))
+    ring = 0.5 * part.circle_diameter_mm
+    rho2 = local[:, 0] ** 2 + local[:, 1] ** 2
+    deepest = -(part.depth_mm or 3.0 * float(radii_mm.max())) - 1.0
+    band = (rho2 > max(0.0, ring - float(reach.max())) ** 2) & (rho2 < (ring + float(reach.max())) ** 2)
+    near = np.flatnonzero(band & (local[:, 2] > deepest) & (local[:, 2] < 1.0))
+    angles = np.arctan2(local[near, 1], local[near, 0])
+    targets = np.mod(np.radians(part.angles_deg), 2.0 * np.pi)
+    order = np.argsort(targets)
+    ordered = targets[order]
+    middle = 0.5 * (ordered + np.append(ordered[1:], ordered[0] + 2.0 * np.pi))
+    owner = order[np.searchsorted(middle, np.mod(angles, 2.0 * np.pi)) % part.count]
+    distance = np.hypot(*(local[near, :2] - centres[owner]).T)
+    keep = distance < reach[owner]
+    sort = np.argsort(owner[keep], kind="stable")
+    return owner[keep][sort], near[keep][sort]
+
+
+def _half_gap(centres: Array) -> float:
+    """Half of the smallest distance between two nominal centres."""
+    distance = np.hypot(*(centres[:, None] - centres[None]).transpose(2, 0, 1))
+    return 0.5 * float(distance[distance > 1e-6].min())
+
+
+def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float) -> str:
+    """Empty where the outline is that of a hole at its place, else why it is not."""
+    if outline is None:
+        return "no edge of the face was seen at the hole's place"
+    if outline.fill > MAX_FILL:
+        return "the face is closed at the hole's place"
+    if outline.arc < MIN_ARC:
+        return f"only {100 * outline.arc:.0f} % of the outline was seen"
+    if np.hypot(*(outline.centre_mm - nominal_mm)) > 0.5 * radius_mm:
+        return "the void found lies off the hole's place"
+    if not 0.6 * radius_mm < outline.radius_mm < 1.5 * radius_mm:
+        return f"the void found has radius {outline.radius_mm:.2f} mm instead of {radius_mm:.2f} mm"
+    return ""
+
+
+def _from_outline(outline: Outline) -> Hole:
+    covariance = np.zeros((4, 4))
+    covariance[:2, :2] = outline.covariance
+    covariance[2:, 2:] = np.eye(2) * hole_model.TILT_PRIOR_RAD**2
+    return Hole(True, outline.centre_mm, np.zeros(2), outline.radius_mm, covariance, outline.points,
+                outline.scatter_mm, "outline")  # fmt: skip
+
+
+def _by_model(
+    points: Array, starts: NDArray[np.intp], chosen: list[int], outlines: list[Hole], part: Part,
+    eye: Array | None, sigma_mm: float,
+) -> dict[int, Hole]:  # fmt: skip
+    """Joint fit of face, chamfer and wall of the chosen holes, by hole number."""
+    if not chosen:
+        return {}
+    origins = np.stack([np.append(outlines[k].centre_mm, 0.0) for k in chosen])
+    pieces = [points[starts[k] : starts[k + 1]] - origin for k, origin in zip(chosen, origins, strict=True)]
+    samples = hole_model.Samples(
+        points=np.concatenate(pieces),
+        starts=np.cumsum([0, *(len(piece) for piece in pieces)]),
+        eyes=None if eye is None else eye - origins,
+        slope=float(np.tan(np.radians(part.chamfer_angle_deg or 45.0))),
+        depth_mm=part.depth_mm or float("inf"),
+        chamfered=part.chamfer_diameter_mm is not None,
+    )
+    start = np.zeros((len(chosen), hole_model.SIZE))
+    for row, k in enumerate(chosen):
+        wall = outlines[k].radius_mm if part.diameter_mm is None else 0.5 * part.diameter_mm[k]
+        chamfer = max(wall, 0.5 * part.chamfer_diameter_mm) if part.chamfer_diameter_mm else wall
+        start[row, hole_model.WALL], start[row, hole_model.CHAMFER] = wall, chamfer
+    fits = hole_model.fit(samples, start, sigma_mm)
+    return {k: hole for row, k in enumerate(chosen) if (hole := _from_model(fits, row, origins[row])) is not None}
+
+
+def _from_model(fits: hole_model.HoleFits, row: int, origin: Array) -> Hole | None:
+    """The hole of one row, None where too few points of chamfer and wall carry it."""
+    inner = int(fits.counts[row, hole_model.CONE] + fits.counts[row, hole_model.CYLINDER])
+    if inner < MIN_INNER_POINTS:
+        return None
+    p = fits.parameters[row]
+    chosen = [hole_model.CU, hole_model.CV, hole_model.TILT_U, hole_model.TILT_V]
+    covariance = fits.covariances[row][np.ix_(chosen, chosen)]
+    slopes = p[[hole_model.TILT_U, hole_model.TILT_V]]
+    return Hole(True, origin[:2] + p[:2], slopes, float(p[hole_model.WALL]), covariance,
+                int(fits.counts[row].sum()), float(fits.residual_mm[row]), "model")  # fmt: skip
+
+
+def _better(model: Hole, outline: Hole) -> bool:
+    """The model carries the hole where it is the surer of the two and does not contradict the outline."""
+    apart = float(np.hypot(*(model.centre_mm - outline.centre_mm)))
+    spread = float(np.sqrt(np.trace(outline.covariance[:2, :2])))
+    return float(np.trace(model.covariance[:2, :2])) < float(np.trace(outline.covariance[:2, :2])) and (
+        apart < 6.0 * spread
+    )

@@ -1,0 +1,191 @@
+"""The bolt pattern in the plane: found among candidates without any prior pose, then fitted to the measured centres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellctl.vision.geometry import Array, wrap_rad
+from cellctl.vision.part import Part, Refused
+
+
+@dataclass(frozen=True, slots=True)
+class PatternPose:
+    """Pattern centre (2,) mm in plane coordinates and clocking (rad); how many features were matched, and how well."""
+
+    centre_mm: Array
+    clocking_rad: float
+    matched: int
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class PatternFit:
+    """Least-squares pose of the pattern: centre (2,), clocking, `covariance` (3, 3) of x, y (mm2), clocking (rad2).
+
+    `diameter_mm` is the circle's, `residuals_mm` (n, 2) measured minus fitted, NaN where a feature is missing.
+    """
+
+    centre_mm: Array
+    clocking_rad: float
+    covariance: Array
+    diameter_mm: float
+    residuals_mm: Array
+
+
+def nominal(part: Part) -> Array:
+    """Nominal centres (n, 2) in the part frame, mm."""
+    angles = np.radians(part.angles_deg)
+    return np.asarray(0.5 * part.circle_diameter_mm * np.column_stack([np.cos(angles), np.sin(angles)]))
+
+
+def symmetry(part: Part) -> int:
+    """Order of the pattern's own rotational symmetry, 1 where clocking is fixed by angles or diameters."""
+    angles = np.mod(np.asarray(part.angles_deg), 360.0)
+    sizes = np.asarray(part.diameter_mm if part.diameter_mm else np.zeros(part.count))
+    for order in range(part.count, 1, -1):
+        if part.count % order:
+            continue
+        turned = np.mod(angles + 360.0 / order, 360.0)
+        gap = np.abs(np.mod(turned[:, None] - angles[None] + 180.0, 360.0) - 180.0)
+        partner = gap.argmin(axis=1)
+        same_size = np.abs(sizes[partner] - sizes) < 0.02 * max(float(sizes.max()), 1e-9) + 1e-9
+        if gap.min(axis=1).max() < 1e-3 and same_size.all():
+            return order
+    return 1
+
+
+def find_pattern(part: Part, positions: Array, radii: Array, weights: Array, tolerance_mm: float) -> PatternPose | None:
+    """Pose of the pattern among candidates (n, 2) with radii (n,) and weights (n,), or None with fewer than three.
+
+    The centre by voting of pairs of candidates on the known circle, the clocking by voting of all pairings with the
+    nominal angles. Raises Refused pattern_ambiguous where two clockings that the pattern's symmetry does not explain
+    are met equally well.
+    """
+    centre = _vote_centre(positions, weights, 0.5 * part.circle_diameter_mm, tolerance_mm)
+    if centre is None:
+        return None
+    return _vote_clocking(part, positions - centre, radii, weights, tolerance_mm, centre)
+
+
+def _vote_centre(positions: Array, weights: Array, radius: float, tolerance_mm: float) -> Array | None:
+    first, second = np.triu_indices(len(positions), k=1)
+    chord = positions[second] - positions[first]
+    length = np.hypot(*chord.T)
+    usable = (length > 0.4 * radius) & (length < 2.0 * radius + tolerance_mm)
+    if not usable.any():
+        return None
+    first, second, chord, length = first[usable], second[usable], chord[usable], length[usable]
+    height = np.sqrt(np.maximum(radius**2 - 0.25 * length**2, 0.0))
+    normal = np.column_stack([-chord[:, 1], chord[:, 0]]) / length[:, None]
+    middle = 0.5 * (positions[first] + positions[second])
+    votes = np.concatenate([middle + normal * height[:, None], middle - normal * height[:, None]])
+    value = np.tile(weights[first] * weights[second], 2)
+    bin_mm = 2.0 * tolerance_mm
+    cells = np.floor(votes / bin_mm).astype(np.int64)
+    cells -= cells.min(axis=0)
+    table = np.zeros(cells.max(axis=0) + 3)
+    np.add.at(table, (cells[:, 0] + 1, cells[:, 1] + 1), value)
+    smooth = sum(np.roll(table, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
+    peak = np.array(np.unravel_index(int(np.argmax(smooth)), table.shape)) - 1
+    near = (np.abs(cells - peak) <= 1).all(axis=1)
+    centre = np.average(votes[near], axis=0, weights=value[near])
+    for _ in range(10):  # least squares on the known circle
+        offset = positions - centre
+        rho = np.hypot(*offset.T)
+        on = np.abs(rho - radius) < 2.0 * tolerance_mm
+        if np.count_nonzero(on) < 3:
+            return None
+        direction = offset[on] / rho[on, None]
+        step = np.linalg.lstsq(direction, rho[on] - radius, rcond=None)[0]
+        centre = centre + step
+    return np.asarray(centre)
+
+
+def _vote_clocking(
+    part: Part, offset: Array, radii: Array, weights: Array, tolerance_mm: float, centre: Array
+) -> PatternPose | None:
+    radius = 0.5 * part.circle_diameter_mm
+    on = np.abs(np.hypot(*offset.T) - radius) < 2.0 * tolerance_mm
+    if np.count_nonzero(on) < 3:
+        return None
+    angles, sizes, value = np.arctan2(offset[on, 1], offset[on, 0]), radii[on], weights[on]
+    targets = np.radians(part.angles_deg)
+    tolerance = 2.0 * tolerance_mm / radius
+    # clockings that differ by the pattern's own symmetry are one: the one nearest to zero stands for all
+    step = 2.0 * np.pi / symmetry(part)
+    differences = angles[:, None] - targets[None]
+    bins = np.unique(np.round(np.mod(differences, step) / (0.5 * tolerance)).astype(np.int64))
+    scored = [_score(part, theta, angles, sizes, value, targets, tolerance) for theta in bins * 0.5 * tolerance]
+    best = max(scored, key=lambda item: item.score)
+    if best.matched < 3:
+        return None
+    for rival in scored:
+        apart = float(np.mod(rival.clocking_rad - best.clocking_rad, step))
+        if min(apart, step - apart) > 2.0 * tolerance and rival.score > 0.97 * best.score:
+            raise Refused("pattern_ambiguous", "two clockings of the pattern are met equally well")
+    clocking = float(np.mod(best.clocking_rad + 0.5 * step, step) - 0.5 * step)
+    return PatternPose(centre, clocking, best.matched, best.score)
+
+
+def _score(
+    part: Part, theta: float, angles: Array, sizes: Array, value: Array, targets: Array, tolerance: float
+) -> PatternPose:
+    """How well the clocking `theta` explains the candidates: one a matched feature, less where sizes disagree."""
+    gap = wrap_rad(angles[:, None] - targets[None] - theta)
+    nearest = np.abs(gap).argmin(axis=0)
+    miss = gap[nearest, np.arange(len(targets))]
+    matched = np.abs(miss) < tolerance
+    if not matched.any():
+        return PatternPose(np.zeros(2), theta, 0, 0.0)
+    better = float(theta + np.average(miss[matched], weights=value[nearest[matched]]))
+    score = float((1.0 - 0.3 * (miss[matched] / tolerance) ** 2).sum())
+    if part.diameter_mm is not None:
+        expected = 0.5 * np.asarray(part.diameter_mm)[matched]
+        ratio = np.log(sizes[nearest[matched]] / expected)
+        # only differences between features count: a chamfer makes all voids larger alike
+        score -= float(np.minimum(np.abs(ratio - np.median(ratio)), 0.5).sum())
+    return PatternPose(np.zeros(2), better, int(matched.sum()), score)
+
+
+def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: float) -> PatternFit:
+    """Weighted rigid least squares of the nominal pattern on centres (n, 2), NaN where missing.
+
+    `covariances` (n, 2, 2) are type A. The pose's covariance is scaled by the scatter of the residuals where that is
+    larger than they explain: true holes are not where the drawing says. Raises Refused features_missing below three.
+    """
+    found = np.isfinite(centres).all(axis=1)
+    if np.count_nonzero(found) < 3:
+        raise Refused("features_missing", f"{int(found.sum())} features found, at least 3 are needed")
+    model, measured = nominal(part)[found], centres[found]
+    # true positions scatter by microns beyond noise: a common floor keeps one good fit from ruling the pattern
+    variance = np.trace(covariances[found], axis1=1, axis2=2) / 2.0
+    pose = np.array([*(measured - model).mean(axis=0), clocking_rad])
+    extra = 0.0
+    for _ in range(20):
+        weights = 1.0 / (variance + extra)
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        turned = model @ np.array([[c, s], [-s, c]])
+        residual = measured - turned - pose[:2]
+        design = np.zeros((len(model), 2, 3))
+        design[:, 0, 0] = design[:, 1, 1] = 1.0
+        design[:, 0, 2], design[:, 1, 2] = -turned[:, 1], turned[:, 0]
+        matrix = np.einsum("nij,n,nik->jk", design, weights, design)
+        step = np.linalg.solve(matrix, np.einsum("nij,n,ni->j", design, weights, residual))
+        pose = pose + step
+        # variance of true positions by moments (DerSimonian-Laird), so that chi-square meets its expectation
+        degrees = max(2 * len(model) - 3, 1)
+        excess = float(((residual**2).sum(axis=1) / variance).sum()) - degrees
+        extra = max(0.0, excess / (2.0 * float((1.0 / variance).sum())))
+    outward = turned / np.hypot(*turned.T)[:, None]
+    radial = float(np.average((residual * outward).sum(axis=1), weights=weights))
+    everything = np.full((part.count, 2), np.nan)
+    everything[found] = residual
+    return PatternFit(
+        centre_mm=pose[:2],
+        clocking_rad=float(wrap_rad(pose[2:])[0]),
+        covariance=np.linalg.inv(matrix),
+        diameter_mm=part.circle_diameter_mm + 2.0 * radial,
+        residuals_mm=everything,
+    )
