@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellctl.docking import Alignment, AlignSpec, align
+from cellctl.docking import Alignment, align, align_spec
 from cellctl.kinematics import AxesPosition, shaft_at
 from cellctl.ports import RunContext, RunHeld
 from cellctl.recipe import Recipe
@@ -53,7 +53,9 @@ def inside_gates(recipe: Recipe, alignment: Alignment) -> bool:
 
 async def _compute(run: RunContext, rotor: PartMeasurement, shaft: PartMeasurement, at: AxesPosition) -> Alignment:
     try:
-        alignment = align(rotor, shaft, run.calibration, at, spec_of(run.recipe))
+        travel = run.devices.shaft_table.limits
+        spec = align_spec(run.recipe, theta_low_deg=travel.low, theta_high_deg=travel.high)
+        alignment = align(rotor, shaft, run.calibration, at, spec)
     except Refused as refusal:
         raise RunHeld(refusal.code, refusal.reason) from refusal
     await run.ledger.note("alignment", alignment)
@@ -81,20 +83,6 @@ def _check_odds(recipe: Recipe, alignment: Alignment) -> None:
     odds, needed = alignment.p_insert, recipe.align.min_p_insert
     if odds < needed:
         raise RunHeld("insertion_improbable", f"the studs enter with a probability of {odds:.3f} (needed {needed})")
-
-
-def spec_of(recipe: Recipe) -> AlignSpec:
-    """The numbers of the recipe that the alignment needs."""
-    return AlignSpec(
-        clearance_mm=recipe.limits.radial_clearance_mm,
-        stiffness_n_per_mm=recipe.limits.axial_stiffness_n_per_mm,
-        expansion_per_k=recipe.heat.expansion_per_k,
-        difference_k=recipe.heat.difference_k if recipe.heat.enabled else 0.0,
-        fit_interference_mm=recipe.heat.fit_interference_mm,
-        open_by_mm=recipe.heat.open_by_mm,
-        spigot_diameter_mm=(recipe.shaft.spigot_diameter_mm if recipe.shaft else None) or 0.0,
-        length_mm=(recipe.rotor.length_mm if recipe.rotor else None) or 0.0,
-    )
 
 
 def _motion(alignment: Alignment) -> str:

@@ -36,8 +36,8 @@ async def heat(run: RunContext, aligned: Aligned) -> HeatProof:
 
 def window_of(recipe: Heat, aligned: Aligned) -> Window:
     """Recipe's own tolerance cut with the two-sided window that fit and clearance leave (design page 1, E28b)."""
-    low = max(recipe.difference_k - recipe.difference_tolerance_k, aligned.alignment.t_min_k)
-    high = min(recipe.difference_k + recipe.difference_tolerance_k, aligned.alignment.t_max_k)
+    low = max(recipe.difference_k - recipe.difference_tolerance_k, aligned.alignment.window.low_k)
+    high = min(recipe.difference_k + recipe.difference_tolerance_k, aligned.alignment.window.high_k)
     if low >= high:
         raise RunHeld(
             "temperature_window_empty",

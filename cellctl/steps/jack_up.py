@@ -72,8 +72,7 @@ async def _weigh(run: RunContext) -> float:
 async def _approach(run: RunContext, aligned: Aligned, weight_n: float) -> Tare:
     """Fast up to the stand-off, then the tare in creep right before contact is possible."""
     recipe = run.recipe
-    first_contact = aligned.alignment.target.z_mm - stud_length(run)
-    start = first_contact - recipe.align.stand_off_mm
+    start = aligned.alignment.approach_z_mm
     await run.checkpoint()
     gain = run.calibration.jack_force.gain
     limits = guard_limits(run, "approach", weight_n / gain, recipe.jack_up.approach_force_limit_n / gain)
@@ -128,9 +127,8 @@ async def back_off(run: RunContext, aligned: Aligned) -> None:
     """Clear a trip, then retract to the stand-off below the studs. Only ever moves down."""
     await run.interlock.rearm()
     await run.ledger.act("jack", "rearm", {}, lambda key: run.devices.jack.rearm())
-    stand_off = aligned.alignment.target.z_mm - stud_length(run) - run.recipe.align.stand_off_mm
     here = (await run.devices.jack.read()).position
-    await move(run, "jack", min(stand_off, here - run.recipe.jack_up.back_off_mm))
+    await move(run, "jack", min(aligned.alignment.approach_z_mm, here - run.recipe.jack_up.back_off_mm))
 
 
 def guard_limits(run: RunContext, label: str, tare_n: float, trip_n: float) -> GuardLimits:
@@ -144,14 +142,6 @@ def guard_limits(run: RunContext, label: str, tare_n: float, trip_n: float) -> G
         stale_ms=plan.stale_ms,
         block=plan.contact_block,
     )
-
-
-def stud_length(run: RunContext) -> float:
-    """Length of the studs below the rotor's face, mm."""
-    rotor = run.recipe.rotor
-    if rotor is None or rotor.length_mm is None:
-        raise RunHeld("recipe_incomplete", "rotor.length_mm is needed to know where contact may begin")
-    return rotor.length_mm
 
 
 async def _still_valid(aligned: Aligned) -> None:
