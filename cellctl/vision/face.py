@@ -1,0 +1,134 @@
+"""Which of the planes in view is the part's face: the one whose voids or studs make the nominal pattern."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellctl.vision.geometry import Array, PlaneFrame
+from cellctl.vision.grid import Void, find_islands, find_voids, rasterise, spacing
+from cellctl.vision.holes import void_radii
+from cellctl.vision.part import Part, Refused
+from cellctl.vision.pattern import PatternPose, find_pattern, nominal
+from cellctl.vision.plane import Plane, find_planes
+
+RANSAC_POINTS = 20_000
+MAX_NOISE_MM = 0.5
+CELLS_PER_SPACING = 1.6
+
+
+@dataclass(frozen=True, slots=True)
+class Face:
+    """The face found: its plane, a frame with origin at the pattern's centre and u through its zero angle (part frame,
+    approximate), point spacing, radii (n,) of the features' voids, pattern pose in the frame it was found in."""
+
+    plane: Plane
+    frame: PlaneFrame
+    spacing_mm: float
+    radii_mm: Array
+    pattern: PatternPose
+
+
+def find_face(points: Array, part: Part, eye: Array, reference: Array, rng: np.random.Generator) -> Face:
+    """The face among clutter in points (N, 3), all finite. `eye` (3,) is the side it is seen from, `reference` (3,)
+    the direction that a clocking of 0 is nearest to.
+
+    Raises Refused: face_not_found, too_noisy, too_coarse, features_missing, pattern_ambiguous.
+    """
+    sample = points if len(points) <= RANSAC_POINTS else points[rng.integers(0, len(points), RANSAC_POINTS)]
+    planes = find_planes(sample, rng)
+    if not planes:
+        raise Refused("face_not_found", "no plane was found in the cloud")
+    if planes[0].sigma_mm > MAX_NOISE_MM:
+        raise Refused("too_noisy", f"the largest plane scatters by {planes[0].sigma_mm:.2f} mm")
+    best: Face | None = None
+    refusal: Refused | None = None
+    for plane in planes:
+        try:
+            face = _try_plane(points, plane, part, eye, reference)
+        except Refused as error:
+            refusal = refusal or error
+            continue
+        if face is not None and (best is None or face.pattern.score > best.pattern.score + 0.02 * part.count):
+            best = face
+    if best is None:
+        raise refusal or Refused("features_missing", "no plane in view carries the nominal pattern")
+    return best
+
+
+def _try_plane(points: Array, plane: Plane, part: Part, eye: Array, reference: Array) -> Face | None:
+    """The plane with the pattern on it, None where no pattern shows."""
+    toward = plane.normal if plane.residuals(eye) > 0.0 else -plane.normal
+    frame = PlaneFrame.on(plane.normal * plane.distance_mm, toward, reference)
+    height = (points - frame.origin) @ toward
+    on = np.abs(height) < 5.0 * plane.sigma_mm
+    if np.count_nonzero(on) < 100:
+        return None
+    uv = frame.into(points[on])[:, :2]
+    space = spacing(uv, coarse_mm=0.012 * part.circle_diameter_mm + 1.0)
+    voids = _holes(uv, part, space) if part.feature == "hole" else _studs(frame, points, height, part, space)
+    if len(voids) < 3:
+        return None
+    positions = np.stack([void.position_mm for void in voids])
+    radii = np.array([void.radius_mm for void in voids])
+    scores = np.array([void.score for void in voids])
+    tolerance = max(0.006 * part.circle_diameter_mm, 2.0 * space)
+    pattern = find_pattern(part, positions, radii, scores, tolerance)
+    if pattern is None or pattern.matched < max(3, part.count // 2):
+        return None
+    return Face(plane, _pattern_frame(frame, pattern), space, _matched_radii(part, pattern, positions, radii), pattern)
+
+
+def _holes(uv: Array, part: Part, space: float) -> list[Void]:
+    """Voids of about the expected sizes. Without sizes in the recipe a range of sizes is looked for."""
+    expected = void_radii(part)
+    known = np.unique(expected[np.isfinite(expected)])
+    centres = nominal(part)
+    gap = np.hypot(*(centres[:, None] - centres[None]).transpose(2, 0, 1))
+    largest = 0.4 * float(gap[gap > 1e-6].min())
+    if len(known):
+        # a recipe may give a tapped hole's core, whose chamfered mouth is what the face shows
+        radii = np.unique(
+            np.round(np.concatenate([known, known * (1.2 if part.chamfer_diameter_mm is None else 1.0)]), 3)
+        )
+    else:
+        radii = np.geomspace(2.2 * space, largest, 8) if largest > 2.2 * space else np.array([largest])
+    if float(radii.min()) < 1.6 * space:
+        raise Refused("too_coarse", f"point spacing {space:.2f} mm is too coarse for holes of {2 * radii.min():.1f} mm")
+    raster = rasterise(uv, CELLS_PER_SPACING * space, margin_mm=float(radii.max()))
+    return find_voids(raster, tuple(float(radius) for radius in radii))
+
+
+def _studs(frame: PlaneFrame, points: Array, height: Array, part: Part, space: float) -> list[Void]:
+    """Groups of points as high above the plane as the outer half of a stud."""
+    length = part.length_mm or 0.1 * part.circle_diameter_mm
+    above = (height > 0.6 * length) & (height < 1.03 * length)
+    if np.count_nonzero(above) < 3 * part.count:
+        return []
+    uv = frame.into(points[above])[:, :2]
+    size = part.thread.major_diameter_mm if part.thread else (part.diameter_mm or (0.03 * part.circle_diameter_mm,))[0]
+    raster = rasterise(uv, max(space, 0.1 * size), margin_mm=size)
+    return [void for void in find_islands(raster, least=6) if void.radius_mm < 1.5 * size]
+
+
+def _pattern_frame(frame: PlaneFrame, pattern: PatternPose) -> PlaneFrame:
+    """The part's approximate frame from the pattern's pose in a frame on the same plane."""
+    c, s = np.cos(pattern.clocking_rad), np.sin(pattern.clocking_rad)
+    origin = frame.out(np.append(pattern.centre_mm, 0.0))
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return PlaneFrame(origin, turn @ frame.axes)
+
+
+def _matched_radii(part: Part, pattern: PatternPose, positions: Array, radii: Array) -> Array:
+    """Radius of the void at each nominal place: the one seen there, else what the recipe or the others say."""
+    c, s = np.cos(pattern.clocking_rad), np.sin(pattern.clocking_rad)
+    places = pattern.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]])
+    distance = np.hypot(*(places[:, None] - positions[None]).transpose(2, 0, 1))
+    nearest = distance.argmin(axis=1)
+    seen = np.where(distance[np.arange(part.count), nearest] < radii[nearest], radii[nearest], np.nan)
+    expected = void_radii(part)
+    usual = float(np.nanmedian(seen / expected)) if np.isfinite(seen / expected).any() else 1.0
+    # a chamfered mouth is known from the drawing; a tapped one is what the face shows
+    guess = expected if part.chamfer_diameter_mm is not None else np.where(np.isfinite(seen), seen, expected * usual)
+    return np.asarray(np.where(np.isfinite(guess), guess, np.nanmedian(seen)))

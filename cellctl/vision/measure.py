@@ -1,0 +1,219 @@
+"""One cloud of one part, measured: the whole algorithm on one page.
+
+cloud -> planes (eq. 14-18) -> the face, by its pattern -> face refitted -> holes (eq. 19-20) or studs (eq. 4-13)
+      -> pattern -> pose with covariance (type A), or Refused and never a pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cellctl.vision import outliers
+from cellctl.vision.cloud import as_cloud
+from cellctl.vision.face import Face, find_face
+from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
+from cellctl.vision.holes import Hole, measure_holes
+from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused
+from cellctl.vision.pattern import PatternFit, fit_pattern, nominal, symmetry
+from cellctl.vision.plane import fit_face
+from cellctl.vision.quality import coverage, nearness
+
+
+@dataclass(frozen=True, slots=True)
+class Gates:
+    """What a scan must have to be measured at all. Distances are along the view; None switches that gate off."""
+
+    distance_low_mm: float | None = None
+    distance_high_mm: float | None = None
+    min_coverage: float = 0.3
+    min_points_per_feature: int = 12
+    outlier_removal: Literal["none", "one_sided", "two_sided"] = "none"
+
+
+DEFAULT_GATES = Gates()
+
+
+def measure_part(
+    points: Points, part: Part, T_frame_scanner: Array | None = None, *, gates: Gates = DEFAULT_GATES, seed: int = 0
+) -> PartMeasurement:
+    """Measure `part` in a cloud (H, W, 3) with NaN where invalid, or (N, 3), millimetres.
+
+    With `T_frame_scanner` (4, 4) the result is in the cell frame, else in the cloud's own. `quality` holds coverage
+    (share of the face seen), distance_mm, points, spacing_mm, found, min_points_per_feature, pattern_rms_mm and
+    sigma_mm. Raises Refused with a code of `cellctl.vision.part`.
+    """
+    cloud = as_cloud(points)
+    grid: Points = cloud.points
+    if gates.outlier_removal != "none":
+        grid = outliers.without_outliers(grid, sides=gates.outlier_removal)  # eq. 2-3
+    pinhole = viewpoint(grid) if cloud.organised else None
+    flat = grid.reshape(-1, 3)
+    flat = flat[np.isfinite(flat[:, 0])].astype(np.float64)
+    eye = np.zeros(3) if pinhole is None else pinhole
+    reference = np.array([1.0, 0.0, 0.0]) if T_frame_scanner is None else T_frame_scanner[0, :3]
+    found = find_face(flat, part, eye, reference, np.random.default_rng(seed))
+    local = found.frame.into(flat)
+    face = _refit_face(flat, local, found, part, eye)
+    frame = PlaneFrame.on(_onto(face, found.frame.origin), face.normal, found.frame.axes[0])
+    features = _features(grid, flat, face, frame, found, part, pinhole)
+    fitted = _fit_pattern(features, frame, part)
+    quality = _quality(face, frame, local, found, features, fitted, part, eye)
+    _check(quality, features, part, gates)
+    return _assemble(features, face, frame, fitted, part, quality, T_frame_scanner)
+
+
+def _onto(face: FaceFit, point: Array) -> Array:
+    """Foot of `point` on the face plane."""
+    return np.asarray(point - ((point - face.point_mm) @ face.normal) * face.normal)
+
+
+def _refit_face(flat: Array, local: Array, found: Face, part: Part, eye: Array) -> FaceFit:
+    """The face plane from the face alone: inside its rims and clear of the features, whose edges would pull it."""
+    reach = 8.0 * found.plane.sigma_mm + (part.flatness_limit_mm or 0.0)
+    chosen = (np.abs(local[:, 2]) < reach) & nearness(local, part, found.radii_mm, 2.0 * found.spacing_mm)
+    face = fit_face(flat[chosen], found.plane, eye)
+    if part.flatness_limit_mm is not None and face.flatness_mm > 5.0 * part.flatness_limit_mm:
+        raise Refused("face_warped", f"the face is {face.flatness_mm:.3f} mm out of flat")
+    return face
+
+
+def _features(
+    grid: Points, flat: Array, face: FaceFit, frame: PlaneFrame, found: Face, part: Part, pinhole: Array | None
+) -> tuple[FeatureFit, ...]:
+    """Every feature of the part, in the cloud's frame."""
+    if part.feature == "stud":
+        from cellctl.vision.studs import measure_studs
+
+        T0 = pose(frame.axes.T, frame.origin)
+        return measure_studs(grid, face, part, T0)
+    eye = None if pinhole is None else frame.into(pinhole)
+    holes = measure_holes(frame.into(flat), part, found.radii_mm, eye, found.spacing_mm, face.sigma_mm)
+    return tuple(_feature(index, hole, frame, face) for index, hole in enumerate(holes))
+
+
+def _feature(index: int, hole: Hole, frame: PlaneFrame, face: FaceFit) -> FeatureFit:
+    """A hole out of the face's coordinates. Its centre lies on the face, so the face's height joins its covariance."""
+    if not hole.found:
+        return FeatureFit(index=index, found=False, reason=hole.reason)
+    centre = frame.out(np.append(hole.centre_mm, 0.0))
+    arm = face.tilt_axes @ (centre - face.point_mm)
+    lever = np.array([1.0, arm[1], -arm[0]])
+    covariance = np.zeros((3, 3))
+    covariance[:2, :2] = hole.covariance[:2, :2]
+    covariance[2, 2] = lever @ face.covariance @ lever
+    return FeatureFit(
+        index=index,
+        found=True,
+        center_mm=centre,
+        axis=unit(frame.axes.T @ np.append(hole.slopes, 1.0)),
+        radius_mm=hole.radius_mm,
+        covariance_mm2=frame.axes.T @ covariance @ frame.axes,
+        axis_sigma_deg=float(np.degrees(np.sqrt(np.trace(hole.covariance[2:, 2:]) / 2.0))),
+        points=hole.points,
+        residual_mm=hole.residual_mm,
+    )
+
+
+def _fit_pattern(features: tuple[FeatureFit, ...], frame: PlaneFrame, part: Part) -> PatternFit:
+    """Least squares of the nominal pattern on the centres, in the plane of the face."""
+    centres, covariances = np.full((part.count, 2), np.nan), np.tile(np.eye(2), (part.count, 1, 1))
+    for feature in features:
+        if feature.center_mm is not None and feature.covariance_mm2 is not None:
+            centres[feature.index] = frame.into(feature.center_mm)[:2]
+            covariances[feature.index] = (frame.axes @ feature.covariance_mm2 @ frame.axes.T)[:2, :2]
+    fitted = fit_pattern(part, centres, covariances, 0.0)
+    if abs(fitted.diameter_mm - part.circle_diameter_mm) > 0.02 * part.circle_diameter_mm:
+        raise Refused("wrong_part", f"the features lie on a circle of {fitted.diameter_mm:.2f} mm")
+    return fitted
+
+
+def _quality(
+    face: FaceFit, frame: PlaneFrame, local: Array, found: Face, features: tuple[FeatureFit, ...],
+    fitted: PatternFit, part: Part, eye: Array,
+) -> dict[str, float]:  # fmt: skip
+    carried = [feature.points for feature in features if feature.found]
+    return {
+        "coverage": coverage(local, part, found.radii_mm, found.spacing_mm, 5.0 * face.sigma_mm),
+        "distance_mm": float(abs(frame.into(eye)[2])),
+        "points": float(len(local)),
+        "spacing_mm": found.spacing_mm,
+        "sigma_mm": face.sigma_mm,
+        "found": float(len(carried)),
+        "min_points_per_feature": float(min(carried, default=0)),
+        "pattern_rms_mm": float(np.sqrt(np.nanmean(fitted.residuals_mm**2))),
+        "matched": float(found.pattern.matched),
+        "nominal_radius_mm": float(np.hypot(*nominal(part)[0])),
+    }
+
+
+def _check(quality: dict[str, float], features: tuple[FeatureFit, ...], part: Part, gates: Gates) -> None:
+    """The quality gates: a poor scan never becomes a pose. Raises Refused."""
+    distance = quality["distance_mm"]
+    low, high = gates.distance_low_mm, gates.distance_high_mm
+    if (low is not None and distance < low) or (high is not None and distance > high):
+        raise Refused("out_of_range", f"the face is {distance:.0f} mm away, {low} to {high} mm are allowed")
+    if quality["coverage"] < gates.min_coverage:
+        raise Refused(
+            "too_few_points",
+            f"{100 * quality['coverage']:.0f} % of the face seen, {100 * gates.min_coverage:.0f} needed",
+        )
+    if quality["min_points_per_feature"] < gates.min_points_per_feature:
+        shown = quality["min_points_per_feature"]
+        raise Refused("too_few_points", f"a feature shows {shown:.0f} points, {gates.min_points_per_feature} are needed")
+    found = sum(feature.found for feature in features)
+    if found < max(3, (part.count + 1) // 2):
+        raise Refused("features_missing", f"{found} of {part.count} features found")
+
+
+def _assemble(
+    features: tuple[FeatureFit, ...], face: FaceFit, frame: PlaneFrame, fitted: PatternFit, part: Part,
+    quality: dict[str, float], T_frame_scanner: Array | None,
+) -> PartMeasurement:  # fmt: skip
+    """Pose of the part from face and pattern, its covariance in the part frame, everything carried into the frame."""
+    c, s = np.cos(fitted.clocking_rad), np.sin(fitted.clocking_rad)
+    axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ frame.axes
+    origin = frame.out(np.append(fitted.centre_mm, 0.0))
+    # type A: x, y, rz from the pattern, turned into the part frame; z, rx, ry from the face at the pattern's centre
+    covariance = np.zeros((6, 6))
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    covariance[np.ix_([0, 1, 5], [0, 1, 5])] = turn @ fitted.covariance @ turn.T
+    arm = face.tilt_axes @ (origin - face.point_mm)
+    tilts = axes[:2] @ face.tilt_axes.T
+    carry = np.vstack([[1.0, arm[1], -arm[0]], np.column_stack([np.zeros(2), tilts])])
+    covariance[np.ix_([2, 3, 4], [2, 3, 4])] = carry @ face.covariance @ carry.T
+    T = np.eye(4) if T_frame_scanner is None else T_frame_scanner
+    return PartMeasurement(
+        frame="input" if T_frame_scanner is None else "cell",
+        feature=part.feature,
+        face=_carry_face(face, T),
+        T_frame_part=T @ pose(axes.T, origin),
+        covariance=covariance,
+        sigma_clocking_deg=float(np.degrees(np.sqrt(fitted.covariance[2, 2]))),
+        clocking_free=symmetry(part) > 1,
+        features=tuple(_carry_feature(feature, T) for feature in features),
+        circle_diameter_mm=fitted.diameter_mm,
+        quality=quality,
+    )
+
+
+def _carry_face(face: FaceFit, T: Array) -> FaceFit:
+    rotation = T[:3, :3]
+    return FaceFit(
+        transform(T, face.point_mm), rotation @ face.normal, face.tilt_axes @ rotation.T, face.covariance,
+        face.sigma_mm, face.flatness_mm, face.points, face.inliers,
+    )  # fmt: skip
+
+
+def _carry_feature(feature: FeatureFit, T: Array) -> FeatureFit:
+    if feature.center_mm is None or feature.axis is None or feature.covariance_mm2 is None:
+        return feature
+    rotation = T[:3, :3]
+    return FeatureFit(
+        index=feature.index, found=True, center_mm=transform(T, feature.center_mm), axis=rotation @ feature.axis,
+        radius_mm=feature.radius_mm, covariance_mm2=rotation @ feature.covariance_mm2 @ rotation.T,
+        axis_sigma_deg=feature.axis_sigma_deg, thread=feature.thread, points=feature.points,
+        residual_mm=feature.residual_mm, reason=feature.reason,
+    )  # fmt: skip
