@@ -1,0 +1,1 @@
+"""Many runs at once: Monte Carlo of docking and of whole assemblies."""
