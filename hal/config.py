@@ -12,7 +12,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from hal.errors import ConfigError
-from hal.units import Fraction, Kilogram, Mm, NewtonPerMm, Seconds, Watt
+from hal.units import Bar, Fraction, Kilogram, Mm, NewtonPerMm, Seconds, Watt
 
 Level = Literal["ideal", "nominal", "hostile"]
 
@@ -102,6 +102,19 @@ class Delays(_Section):
     tare_n: float = Field(default=0.3, ge=0)
 
 
+class Envelope(_Section):
+    """`[envelope]`: heights and pressures by which the motion rules (hal.permits) judge.
+
+    The camera may stand in a view while the jack is at or below `view_safe_mm`; stage and shaft table move, and the
+    jack rises unguarded, only at or below `free_mm`; the guns are back while their feed is at or below `guns_back_mm`.
+    """
+
+    view_safe_mm: Mm = 20.0
+    free_mm: Mm = 360.0
+    guns_back_mm: Mm = 1.0
+    chuck_pressure_low_bar: Bar = Field(default=4.0, ge=0)
+
+
 class CalibrationEntry(_Section):
     """`[calibration]`: where the controller's belief lies, relative to the cell file."""
 
@@ -140,6 +153,7 @@ class CellConfig(_Section):
     cell: CellSection
     devices: Devices
     guard: Delays = Delays()
+    envelope: Envelope = Envelope()
     calibration: CalibrationEntry
     auth: Auth = Auth()
     twin: Twin = Twin()

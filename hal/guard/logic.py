@@ -1,0 +1,81 @@
+"""The guard's decision, pure: samples in, trip out.
+
+The same function decides in the loop and in a process of its own. It keeps no state but the frozen `Watch` that it is
+given and gives back; latching is its owner's: a trip is final until an explicit re-arm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hal.interfaces import ForceBlock, GuardLimits
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """Why the guard must stop the axes; `force_n` is the net force that did it, NaN where it was not force."""
+
+    reason: str
+    force_n: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What the guard has seen since the last arm: net forces, newton; `next_sequence` is None before a first block."""
+
+    limits: GuardLimits
+    next_sequence: int | None = None
+    peak_n: float = 0.0
+    last_n: float = 0.0
+    samples: int = 0
+
+
+def check(watch: Watch, block: ForceBlock, now: float) -> tuple[Watch, Trip | None]:
+    """The watch after `block`, looked at at loop time `now`, and the trip that it demands, if any.
+
+    Trips, first one counts: no samples; samples missing in between; not a number; net force above `trip_n` or below
+    `low_n`; newest sample older than `stale_ms`, or from the future by more than one sample.
+    """
+    limits, count = watch.limits, len(block.samples_n)
+    if count == 0:
+        return watch, Trip(f"{limits.label}: the sensor delivered no samples")
+    if watch.next_sequence is not None and block.sequence != watch.next_sequence:
+        return watch, Trip(f"{limits.label}: sample {watch.next_sequence} expected, {block.sequence} came")
+    low_n, high_n = float(block.samples_n.min()) - limits.tare_n, float(block.samples_n.max()) - limits.tare_n
+    seen = replace(
+        watch,
+        next_sequence=block.sequence + count,
+        peak_n=max(watch.peak_n, high_n) if high_n == high_n else watch.peak_n,
+        last_n=float(block.samples_n[-1]) - limits.tare_n,
+        samples=watch.samples + count,
+    )
+    if not (low_n >= limits.low_n and high_n <= limits.trip_n):
+        return _seen_up_to(seen, watch, block), _force_trip(limits, block)
+    age_s = now - (block.time_s + (count - 1) * block.period_s)
+    if not age_s * 1e3 <= limits.stale_ms:
+        return seen, Trip(
+            f"{limits.label}: the newest sample is {age_s * 1e3:.1f} ms old (limit {limits.stale_ms:g} ms)"
+        )
+    if age_s < -block.period_s:
+        return seen, Trip(f"{limits.label}: the newest sample is {-age_s * 1e3:.1f} ms in the future")
+    return seen, None
+
+
+def _force_trip(limits: GuardLimits, block: ForceBlock) -> Trip:
+    """The first sample that is not within the limits, in words."""
+    net = block.samples_n - limits.tare_n
+    first = float(net[int(np.argmax(~((net >= limits.low_n) & (net <= limits.trip_n))))])
+    if math.isnan(first):
+        return Trip(f"{limits.label}: the force is not a number")
+    limit, side = (limits.trip_n, "above") if first > limits.trip_n else (limits.low_n, "below")
+    return Trip(f"{limits.label}: net force {first:.2f} N {side} {limit:.2f} N", first)
+
+
+def _seen_up_to(seen: Watch, before: Watch, block: ForceBlock) -> Watch:
+    """Peak over the numbers of a block that may hold NaN."""
+    finite = block.samples_n[~np.isnan(block.samples_n)]
+    peak_n = max(before.peak_n, float(finite.max()) - seen.limits.tare_n) if finite.size else before.peak_n
+    return replace(seen, peak_n=peak_n)
