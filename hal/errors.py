@@ -12,6 +12,7 @@
     │   ├── Interrupted       the command was ended by a halt before it was done
     │   ├── ImplausibleReading  a value that cannot be true: NaN, stuck, stale, out of range
     │   └── UnknownOutcome    the command may or may not have acted; it must never be repeated unasked
+    ├── WorkerError           a worker process died or was late; the job has no effects and may be given again
     └── SafetyError           a safety-relevant condition; latched until re-armed
         ├── GuardTripped      the force guard latched
         └── SafetyOpen        e-stop, guard door, STO or bench lock is open or unknown
@@ -106,6 +107,13 @@ class UnknownOutcome(DeviceError):
     """The command may or may not have acted; it must never be repeated unasked."""
 
     code = "outcome_unknown"
+
+
+class WorkerError(CellError):
+    """A worker process died or was late; the job has no effects and may be given again."""
+
+    code = "worker_failed"
+    retryable = True
 
 
 class SafetyError(CellError):

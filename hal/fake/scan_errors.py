@@ -21,7 +21,7 @@ def measured(hits: HitBuffer, errors: ScanErrors, rng: np.random.Generator) -> I
     valid = seen(hits, errors, facing)
     depth = np.where(valid, hits.depth, np.nan)
 
-    in_band = _bands(camera, errors, rng)
+    in_band = _bands(hits, errors, rng)
     _fly(hits, depth, errors, rng)
     with np.errstate(invalid="ignore", divide="ignore"):
         sigma = errors.noise_mm * (depth / camera.reference_mm) ** 2 / facing
@@ -108,13 +108,12 @@ def _fly(hits: HitBuffer, depth: Array, errors: ScanErrors, rng: np.random.Gener
         image[there][rows] -= np.where(fly & (side >= 0.5), share * step[rows], 0.0)
 
 
-def _bands(camera: Camera, errors: ScanErrors, rng: np.random.Generator) -> Mask:
+def _bands(hits: HitBuffer, errors: ScanErrors, rng: np.random.Generator) -> Mask:
     """Pixels under bands of stray light, anew for each capture."""
-    row, col = np.indices((camera.rows, camera.cols), dtype=np.float32)
-    row, col = row / camera.rows - 0.5, col / camera.cols - 0.5
-    band = np.zeros((camera.rows, camera.cols), dtype=np.bool_)
+    half = hits.camera.half_width
+    band = np.zeros(hits.u.size, dtype=np.bool_)
     for _ in range(errors.bands):
-        angle, place = rng.uniform(0.0, np.pi), rng.uniform(-0.5, 0.5)
-        across = row * np.float32(np.sin(angle)) + col * np.float32(np.cos(angle))
-        band |= np.abs(across - np.float32(place)) < 0.5 * errors.band_width
-    return band.ravel()
+        angle, place = rng.uniform(0.0, np.pi), rng.uniform(-half, half)
+        across = hits.u * np.cos(angle) + hits.v * np.sin(angle) - place
+        band |= np.abs(across) < errors.band_width * half
+    return band
