@@ -50,7 +50,8 @@ def find_face(points: Array, part: Part, eye: Array, reference: Array, rng: np.r
         except Refused as error:
             refusal = refusal or error
             continue
-        if face is not None and (best is None or face.pattern.score > best.pattern.score + 0.02 * part.count):
+        # planes come largest first: a smaller one must show the pattern plainly better
+        if face is not None and (best is None or face.pattern.score > best.pattern.score + 0.1 * part.count):
             best = face
     if best is None:
         raise refusal or Refused("features_missing", "no plane in view carries the nominal pattern")

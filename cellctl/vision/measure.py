@@ -17,7 +17,7 @@ from cellctl.vision.face import Face, find_face
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
 from cellctl.vision.holes import Hole, measure_holes
 from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused
-from cellctl.vision.pattern import PatternFit, fit_pattern, nominal, symmetry
+from cellctl.vision.pattern import PatternFit, fit_pattern, symmetry
 from cellctl.vision.plane import fit_face
 from cellctl.vision.quality import coverage, nearness
 
@@ -136,7 +136,7 @@ def _quality(
 ) -> dict[str, float]:  # fmt: skip
     carried = [feature.points for feature in features if feature.found]
     return {
-        "coverage": coverage(local, part, found.radii_mm, found.spacing_mm, 5.0 * face.sigma_mm),
+        "coverage": coverage(local, part, found.radii_mm, found.spacing_mm, 5.0 * face.sigma_mm + 0.01),
         "distance_mm": float(abs(frame.into(eye)[2])),
         "points": float(len(local)),
         "spacing_mm": found.spacing_mm,
@@ -145,7 +145,6 @@ def _quality(
         "min_points_per_feature": float(min(carried, default=0)),
         "pattern_rms_mm": float(np.sqrt(np.nanmean(fitted.residuals_mm**2))),
         "matched": float(found.pattern.matched),
-        "nominal_radius_mm": float(np.hypot(*nominal(part)[0])),
     }
 
 

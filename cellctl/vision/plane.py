@@ -12,6 +12,7 @@ from cellctl.vision.part import FaceFit, Refused
 
 TUKEY = 4.685  # 95 % efficient for white noise
 BLOCK_MM = 6.0
+RESOLUTION_MM = 1e-4  # of float32 at some hundred millimetres
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,7 @@ def refit(points: Array, start: Plane, tau_mm: float) -> Plane:
         moved = float(np.linalg.norm(new - normal)) * 100.0 + abs(float(new @ centre) - distance)
         normal, distance = new, float(new @ centre)
         residuals = points @ normal - distance
-        sigma = max(robust_sigma(residuals[np.abs(residuals) < max(reach, 3.0 * sigma)]), 1e-7)
+        sigma = max(robust_sigma(residuals[np.abs(residuals) < max(reach, 3.0 * sigma)]), RESOLUTION_MM)
         if moved < 1e-7 and step > 3:
             break
     return Plane(normal, distance, sigma, near)
