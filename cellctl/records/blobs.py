@@ -9,8 +9,10 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import io
+import math
 import os
 import zipfile
+import zlib
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -116,7 +118,7 @@ def unpacked(data: bytes) -> dict[str, NDArray[Any]]:
             if sum(info.file_size for info in archive.infolist()) > MAX_BLOB_BYTES:
                 raise RecordCorrupt("a blob is larger than any scan")
             return {info.filename.removesuffix(".npy"): _array(archive.read(info)) for info in archive.infolist()}
-    except (zipfile.BadZipFile, ValueError, EOFError, OSError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, RuntimeError) as error:
         raise RecordCorrupt(f"a blob cannot be read: {error}") from None
 
 
@@ -183,5 +185,11 @@ def _npy(array: NDArray[Any]) -> bytes:
 
 
 def _array(data: bytes) -> NDArray[Any]:
-    array: NDArray[Any] = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
-    return array
+    """An npy array whose header claims no more than what follows it."""
+    stream = io.BytesIO(data)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError("not the npy version of this store")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    if fortran or dtype.hasobject or math.prod(shape) * dtype.itemsize != len(data) - stream.tell():
+        raise ValueError("an npy header does not fit its data")
+    return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape)

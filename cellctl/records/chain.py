@@ -72,6 +72,9 @@ def row_of_line(line: str) -> Row:
         same = row.line() == line
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise RecordCorrupt(f"not a row of a journal: {type(error).__name__}") from None
-    if not same or not isinstance(row.seq, int) or not isinstance(row.time_s, float):
+    texts = (row.utc, row.kind, row.prev, row.hash)
+    if not same or not all(isinstance(text, str) for text in texts) or type(row.seq) is not int:
+        raise RecordCorrupt("a row is not in canonical form")
+    if not isinstance(row.time_s, float):
         raise RecordCorrupt("a row is not in canonical form")
     return row
