@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
+import select
 import signal
+import socket
 import sys
 import threading
 import time
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,6 +99,38 @@ def gone(pid: int) -> bool:
     return not Path(f"/proc/{pid}").exists()
 
 
+def wait_end(watch: int) -> None:
+    """Wait until the process behind a pidfd has ended."""
+    ended, _, _ = select.select([watch], [], [], 20.0)
+    os.close(watch)
+    assert ended
+
+
+def open_descriptors() -> set[str]:
+    return {path.name for path in Path("/proc/self/fd").iterdir()}
+
+
+def hold(path: str) -> None:
+    """Say by a socket that the job has begun, and go on for as long as the other side likes."""
+    with socket.socket(socket.AF_UNIX) as line:
+        line.connect(path)
+        line.recv(1)
+
+
+@contextlib.asynccontextmanager
+async def begun(folder: Path) -> AsyncIterator[tuple[str, asyncio.Event]]:
+    """Where `hold` connects to, and what is set when it has."""
+    event, path = asyncio.Event(), str(folder / "line")
+
+    async def connected(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        event.set()
+        await reader.read()
+        writer.close()
+
+    async with await asyncio.start_unix_server(connected, path):
+        yield path, event
+
+
 async def twice_the_cloud(jobs: Jobs) -> Cloud:
     points = np.arange(707 * 707 * 3, dtype=np.float32).reshape(707, 707, 3)
     points[5, 7] = np.nan
@@ -167,7 +203,7 @@ def test_exceptions_arrive_as_they_were_raised(kind: str) -> None:
 def test_what_cannot_travel_is_an_error_and_harms_no_later_job() -> None:
     async def main(jobs: ProcessJobs) -> tuple[int, int]:
         before = (await jobs.run(where, latency_s=0.0))[0]
-        with pytest.raises(RuntimeError, match="Unreadable.*holds a lock"):
+        with pytest.raises(RuntimeError, match=r"Unreadable.*holds a lock"):
             await jobs.run(raise_unreadable, latency_s=0.0)
         with pytest.raises(TypeError, match="pickle"):
             await jobs.run(unreadable, latency_s=0.0)
@@ -208,9 +244,9 @@ def test_a_worker_killed_while_idle_is_replaced_before_the_next_job_fails() -> N
     async def main(jobs: ProcessJobs) -> None:
         await jobs.run(where, latency_s=0.0)
         victim, spare = jobs.worker_pids
+        watch = os.pidfd_open(victim)
         os.kill(victim, signal.SIGKILL)
-        while Path(f"/proc/{victim}/stat").read_text().split()[2] != "Z":
-            await asyncio.sleep(0)
+        wait_end(watch)
         assert (await jobs.run(where, latency_s=0.0))[0] == spare
 
     in_process(main)
@@ -220,7 +256,7 @@ def test_a_late_worker_is_killed_and_replaced() -> None:
     async def main(jobs: ProcessJobs) -> None:
         await jobs.run(where, latency_s=0.0)
         late, spare = jobs.worker_pids
-        with pytest.raises(WorkerError, match="was late: no answer within 0.5 s"):
+        with pytest.raises(WorkerError, match=r"was late: no answer within 0\.5 s"):
             await jobs.run(sleep_for, 60.0, latency_s=0.0)
         assert gone(late)
         assert (await jobs.run(where, latency_s=0.0))[0] == spare
@@ -231,39 +267,41 @@ def test_a_late_worker_is_killed_and_replaced() -> None:
     assert time.monotonic() - started < 20.0
 
 
-def test_a_cancelled_job_is_ended_with_its_worker() -> None:
+def test_a_cancelled_job_is_ended_with_its_worker(tmp_path: Path) -> None:
     async def main(jobs: ProcessJobs) -> None:
         await jobs.run(where, latency_s=0.0)
         busy, spare = jobs.worker_pids
-        task = asyncio.create_task(jobs.run(sleep_for, 60.0, latency_s=0.0))
-        await asyncio.sleep(0.05)
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
+        async with begun(tmp_path) as (path, event):
+            task = asyncio.create_task(jobs.run(hold, path, latency_s=0.0))
+            await event.wait()
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
         assert gone(busy)
         assert (await jobs.run(where, latency_s=0.0))[0] == spare
 
     in_process(main)
 
 
-def test_closing_fails_the_job_in_flight_and_leaves_nothing() -> None:
+def test_closing_fails_the_job_in_flight_and_leaves_nothing(tmp_path: Path) -> None:
     async def main() -> tuple[int, ...]:
-        open_files = set(os.listdir("/proc/self/fd"))
+        open_before = open_descriptors()
         jobs = ProcessJobs()
         await jobs.start()
         await jobs.run(where, latency_s=0.0)
         pids = jobs.worker_pids
-        in_flight = asyncio.create_task(jobs.run(sleep_for, 60.0, latency_s=0.0))
-        queued = asyncio.create_task(jobs.run(where, latency_s=0.0))
-        await asyncio.sleep(0.05)
-        await jobs.close()
-        await jobs.close()
+        async with begun(tmp_path) as (path, event):
+            in_flight = asyncio.create_task(jobs.run(hold, path, latency_s=0.0))
+            queued = asyncio.create_task(jobs.run(where, latency_s=0.0))
+            await event.wait()
+            await jobs.close()
+            await jobs.close()
         for task in (in_flight, queued):
             with pytest.raises(WorkerError):
                 await task
         with pytest.raises(WorkerError, match="closed"):
             await jobs.run(where, latency_s=0.0)
-        assert set(os.listdir("/proc/self/fd")) == open_files
+        assert open_descriptors() == open_before
         return pids
 
     threads = set(threading.enumerate())
@@ -292,11 +330,11 @@ def test_workers_end_with_a_parent_that_is_killed(root: Path) -> None:
         )
         assert parent.stdout is not None
         pids = [int(word) for word in (await parent.stdout.readline()).split()]
+        watches = [os.pidfd_open(pid) for pid in pids]
         parent.kill()
         await parent.wait()
-        async with asyncio.timeout(20):
-            while not all(map(gone, pids)):
-                await asyncio.sleep(0.05)
+        for watch in watches:
+            wait_end(watch)
         return pids
 
     assert len(asyncio.run(main())) == 2
