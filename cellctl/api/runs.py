@@ -1,0 +1,151 @@
+"""Runs: what was done, row by row, joint by joint, and the sealed record."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query
+from fastapi.responses import FileResponse, HTMLResponse
+
+from cellctl.api.auth import Allow, Role
+from cellctl.api.problems import ProblemError
+from cellctl.api.schemas import Joint, Joints, JournalPage, JournalRow, Phase, Run, Runs, Serials
+from cellctl.api.services import Services, services_of
+from cellctl.api.strict import StrictRoute
+from cellctl.records.errors import UnknownRun
+from cellctl.records.summary import RunSummary
+
+VIEWER = [Depends(Allow(Role.VIEWER))]
+router = APIRouter(route_class=StrictRoute, tags=["runs"])
+
+
+@router.get("/runs", dependencies=VIEWER)
+async def all_runs(
+    services: Annotated[Services, Depends(services_of)],
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    cursor: Annotated[str | None, Query(max_length=80)] = None,
+) -> Runs:
+    """Runs, newest first."""
+    found = await services.runs.list(limit=limit + 1, after=cursor)
+    items = [_told(summary, services) for summary in found[:limit]]
+    return Runs(items=items, cursor=items[-1].run_id if len(found) > limit else None)
+
+
+@router.get("/runs/{run_id}", dependencies=VIEWER)
+async def one_run(run_id: str, services: Annotated[Services, Depends(services_of)]) -> Run:
+    """One run; while it runs `state` is the cell's."""
+    summary = await _summary(run_id, services)
+    return _told(summary, services) if summary else _beginning(run_id, services)
+
+
+@router.get("/runs/{run_id}/journal", dependencies=VIEWER)
+async def journal(
+    run_id: str,
+    services: Annotated[Services, Depends(services_of)],
+    limit: Annotated[int, Query(ge=1, le=1000)] = 200,
+    cursor: Annotated[int, Query(ge=0, le=2**53)] = 0,
+) -> JournalPage:
+    """Rows of the journal, oldest first."""
+    rows = await services.runs.rows(run_id, after=cursor, limit=limit)
+    items = [
+        JournalRow(seq=row.seq, time_s=row.time_s, utc=row.utc, kind=row.kind, value=row.value, prev=row.prev,
+                   hash=row.hash)
+        for row in rows
+    ]  # fmt: skip
+    return JournalPage(items=items, cursor=rows[-1].seq if len(rows) == limit else None)
+
+
+@router.get("/runs/{run_id}/joints", dependencies=VIEWER)
+async def joints(run_id: str, services: Annotated[Services, Depends(services_of)]) -> Joints:
+    """Every result of every joint, in the order in which they were made."""
+    summary = await _summary(run_id, services)
+    if summary is None:
+        return Joints(count=None, items=[])
+    recipe = services.recipes.get(summary.recipe, summary.recipe_version)
+    items = [
+        Joint(
+            index=joint["index"],
+            gun=joint["gun"],
+            stage=joint["stage"],
+            torque_nm=joint["torque_nm"],
+            angle_deg=joint["angle_deg"],
+            verdict=joint["verdict"],
+            simulated=services.simulated,
+        )
+        for joint in summary.joints
+    ]
+    return Joints(count=recipe.pattern.count if recipe else None, items=items)
+
+
+@router.get(
+    "/runs/{run_id}/record",
+    response_class=FileResponse,
+    responses={200: {"description": "The sealed record", "content": {"application/zip": {}}}},
+    dependencies=VIEWER,
+)
+async def record(run_id: str, services: Annotated[Services, Depends(services_of)]) -> FileResponse:
+    """The sealed record; 404 until the run is sealed."""
+    path = services.runs.record_path(run_id)
+    if path is None:
+        raise ProblemError(404, "record_not_sealed", "the run has no sealed record yet")
+    return FileResponse(path, media_type="application/zip", filename=f"{run_id}.zip")
+
+
+@router.get("/runs/{run_id}/report", response_class=HTMLResponse, dependencies=VIEWER)
+async def report(run_id: str, services: Annotated[Services, Depends(services_of)]) -> HTMLResponse:
+    """The report as HTML, from what is in the journal now."""
+    policy = {"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:"}
+    return HTMLResponse(await services.runs.report(run_id), headers=policy)
+
+
+async def _summary(run_id: str, services: Services) -> RunSummary | None:
+    """None for the run that was ordered and whose journal does not exist yet. Raises UnknownRun for any other."""
+    try:
+        return await services.runs.get(run_id)
+    except UnknownRun:
+        if services.controller.snapshot().run_id == run_id:
+            return None
+        raise
+
+
+def _told(summary: RunSummary, services: Services) -> Run:
+    live = summary.state == "Running" and services.controller.snapshot().run_id == summary.run_id
+    state = str(services.controller.state) if live else summary.state
+    if summary.state == "Running" and not live:
+        state = "Aborted"  # the service ended while it ran: nothing more will be written
+    return Run(
+        run_id=summary.run_id,
+        job_order_id=summary.job_order_id,
+        recipe=summary.recipe,
+        recipe_version=summary.recipe_version,
+        serials=Serials(rotor=summary.rotor_serial, shaft=summary.shaft_serial),
+        state=state,
+        verdict=summary.verdict,
+        reasons=list(summary.reasons),
+        phases=[Phase(name=each.name, state=each.state, cell_time_s=each.cell_time_s) for each in summary.phases],
+        started=datetime.fromisoformat(summary.started_utc) if summary.started_utc else None,
+        ended=datetime.fromisoformat(summary.ended_utc) if summary.ended_utc else None,
+        journal_hash=summary.journal_hash,
+        sealed=summary.state != "Running" and services.runs.record_path(summary.run_id) is not None,
+        simulated=services.simulated,
+    )
+
+
+def _beginning(run_id: str, services: Services) -> Run:
+    return Run(
+        run_id=run_id,
+        job_order_id=services.controller.snapshot().job_order_id,
+        recipe=None,
+        recipe_version=None,
+        serials=None,
+        state=str(services.controller.state),
+        verdict=None,
+        reasons=[],
+        phases=[],
+        started=None,
+        ended=None,
+        journal_hash=None,
+        sealed=False,
+        simulated=services.simulated,
+    )
