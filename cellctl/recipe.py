@@ -110,7 +110,7 @@ class Align(Section):
     gate_theta_deg: Deg = 0.03
     gate_tilt_deg: Deg = 0.1
     motion_gate_mm: Mm = Field(default=0.3, gt=0)
-    coverage_factor: float = Field(default=2.0, gt=0)
+    coverage_factor: Fraction = Field(default=2.0, gt=0)
     min_p_insert: Fraction = Field(default=0.99, ge=0, le=1)
     max_loops: int = Field(default=3, ge=1, le=10)
     expires_s: Seconds = 900.0
