@@ -73,10 +73,11 @@ def _try_plane(points: Array, plane: Plane, part: Part, eye: Array, reference: A
         return None
     positions = np.stack([void.position_mm for void in voids])
     radii = np.array([void.radius_mm for void in voids])
-    scores = np.array([void.score for void in voids])
+    # chance voids are small: a large one weighs more, up to the usual size
+    scores = np.array([void.score for void in voids]) * np.minimum(1.0, radii / np.quantile(radii, 0.75)) ** 2
     tolerance = max(0.006 * part.circle_diameter_mm, 2.0 * space)
     pattern = find_pattern(part, positions, radii, scores, tolerance)
-    if pattern is None or pattern.matched < max(3, part.count // 2):
+    if pattern is None or pattern.matched < max(3, int(np.ceil(0.5 * part.count))):
         return None
     return Face(plane, _pattern_frame(frame, pattern), space, _matched_radii(part, pattern, positions, radii), pattern)
 
@@ -94,7 +95,7 @@ def _holes(uv: Array, part: Part, space: float) -> list[Void]:
             np.round(np.concatenate([known, known * (1.2 if part.chamfer_diameter_mm is None else 1.0)]), 3)
         )
     else:
-        radii = np.geomspace(2.2 * space, largest, 8) if largest > 2.2 * space else np.array([largest])
+        radii = np.geomspace(3.0 * space, largest, 9) if largest > 3.0 * space else np.array([largest])
     if float(radii.min()) < 1.6 * space:
         raise Refused("too_coarse", f"point spacing {space:.2f} mm is too coarse for holes of {2 * radii.min():.1f} mm")
     raster = rasterise(uv, CELLS_PER_SPACING * space, margin_mm=float(radii.max()))

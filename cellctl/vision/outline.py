@@ -25,11 +25,14 @@ class Outline:
     points: int
 
 
-def fit_outline(uv: Array, start: Array, radius_mm: float, spacing_mm: float) -> Outline | None:
+def fit_outline(
+    uv: Array, start: Array, radius_mm: float, spacing_mm: float, *, radius_sigma_mm: float = float("inf")
+) -> Outline | None:
     """Robust circle through the innermost face points (N, 2) of each sector around `start`; None where there is none.
 
     Limited by the sampling: an edge lies anywhere within one spacing of the innermost point. The radius is corrected
-    by half a spacing, which is what the innermost point of a sector stands off on average.
+    by half a spacing, which is what the innermost point of a sector stands off on average. With `radius_sigma_mm`
+    the radius (before that correction) is held to `radius_mm` as that well known: a torn outline needs it.
     """
     centre, radius = start.astype(np.float64), radius_mm
     sectors = int(np.clip(2.0 * np.pi * radius_mm / (1.1 * spacing_mm), 12, 180))
@@ -42,14 +45,16 @@ def fit_outline(uv: Array, start: Array, radius_mm: float, spacing_mm: float) ->
             offset = edge - centre
             rho = np.hypot(*offset.T)
             residual = rho - radius
-            scatter = max(1.4826 * float(np.median(np.abs(residual - np.median(residual)))), 0.05 * spacing_mm)
+            scatter = max(1.4826 * float(np.median(np.abs(residual))), 0.05 * spacing_mm)
             weights = np.clip(1.0 - (residual / (4.0 * scatter)) ** 2, 0.0, None) ** 2
             kept = weights > 0.0
             if np.count_nonzero(kept) < 8:
                 return None
             design = np.column_stack([offset / rho[:, None], np.ones(len(edge))])
-            normal = (design * weights[:, None]).T @ design
-            change = np.linalg.lstsq(normal, design.T @ (weights * residual), rcond=None)[0]
+            hold = (scatter / radius_sigma_mm) ** 2
+            normal = (design * weights[:, None]).T @ design + np.diag([0.0, 0.0, hold])
+            pull = design.T @ (weights * residual) + np.array([0.0, 0.0, hold * (radius_mm - radius)])
+            change = np.linalg.lstsq(normal, pull, rcond=None)[0]
             centre, radius = centre + change[:2], float(radius + change[2])
             covariance = np.linalg.pinv(normal)[:2, :2] * float((weights * residual**2).sum() / weights.sum())
         if np.abs(change).max() < 1e-5:

@@ -140,7 +140,8 @@ def _score(
     if not matched.any():
         return PatternPose(np.zeros(2), theta, 0, 0.0)
     better = float(theta + np.average(miss[matched], weights=value[nearest[matched]]))
-    score = float((1.0 - 0.3 * (miss[matched] / tolerance) ** 2).sum())
+    worth = np.minimum(value[nearest[matched]] / np.quantile(value, 0.75), 1.0)
+    score = float((worth * (1.0 - 0.3 * (miss[matched] / tolerance) ** 2)).sum())
     if part.diameter_mm is not None:
         expected = 0.5 * np.asarray(part.diameter_mm)[matched]
         ratio = np.log(sizes[nearest[matched]] / expected)

@@ -57,9 +57,16 @@ def find_planes(
         near = np.abs(plane.residuals(left)) < reach
         if np.count_nonzero(near) < floor:
             break
-        planes.append(plane)
+        if not any(_same(plane, other, left[near]) for other in planes):
+            planes.append(plane)
         left = left[~near]
     return tuple(planes)
+
+
+def _same(plane: Plane, other: Plane, points: Array) -> bool:
+    """Whether `plane` is only the shell of strays about another one."""
+    apart = abs(float(np.median(other.residuals(points))))
+    return abs(float(plane.normal @ other.normal)) > 0.9998 and apart < 10.0 * other.sigma_mm
 
 
 def _ransac(points: Array, rng: np.random.Generator, tau_mm: float, trials: int) -> Plane | None:
