@@ -87,6 +87,8 @@ class Properties:
     """Jack column against a jam or a seated face (design book, contact)."""
     friction_coefficient: float = _n(0.15, "1")
     stud_modulus_n_per_mm2: float = _n(206_000.0, "N/mm2")
+    stud_fixity: float = _n(12.0, "1")
+    """End condition of a bending stud: 3 free to turn, 12 guided by its hole."""
     spigot_stiffness_n_per_mm: float = _n(2.0e5, "N/mm")
     """Local radial stiffness of the rabbet ring where it centres the shaft."""
     chuck_tilt_stiffness_nmm_per_rad: float = _n(1.0e8, "N mm/rad")

@@ -1,0 +1,115 @@
+"""Docking without a cell: forces of one insertion and the best pose, from truth alone. Pure, usable without asyncio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.fake.curve import force_curve, gap_grid
+from hal.fake.insertion import Dock, meeting
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class DockForces:
+    """One insertion up to the spigot: per stud (n,) the peak axial force, and whether it went in."""
+
+    peak_n: Array
+    peak_total_n: float
+    inserted: NDArray[np.bool_]
+
+    @property
+    def ok(self) -> bool:
+        """All studs in, none above 10 N (the paper's two criteria)."""
+        return bool(self.inserted.all() and self.peak_n.max() <= 10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseError:
+    """Shaft's pose minus its best pose, about the rotor's axis; theta right-handed about cell z."""
+
+    x_mm: float
+    y_mm: float
+    theta_deg: float
+
+
+def dock_forces(dock: Dock) -> DockForces:
+    """Insert until the spigot is about to engage, whatever the force."""
+    gaps = gap_grid(dock)
+    curve = force_curve(dock, gaps[gaps > dock.geometry.spigot_length_mm])
+    return DockForces(
+        peak_n=curve.stud_in_n.max(axis=0),
+        peak_total_n=float(curve.in_n.max()),
+        inserted=np.full(dock.geometry.count, not curve.jammed.any()),
+    )
+
+
+def pose_error(dock: Dock, *, polish: int = 12) -> PoseError:
+    """How far the shaft is from where the worst stud has most clearance, when its studs are in.
+
+    Least squares of the offsets over x, y, theta (closed form), then sharpened towards minimax by reweighting.
+    """
+    geometry = dock.geometry
+    gaps = np.array(
+        [geometry.stud_length_mm - geometry.lead_in_mm - geometry.chamfer_depth_mm, 2.0 * geometry.spigot_length_mm]
+    )
+    met = meeting(dock, dock.heights_mm(gaps))
+    depth = geometry.stud_length_mm - met.gap_mm
+    mouth, tip = np.minimum(depth, geometry.chamfer_depth_mm), np.minimum(depth, geometry.hole_depth_mm)
+    offset = np.concatenate([met.offset_mm(mouth), met.offset_mm(tip)]).reshape(-1, 2)
+    arm = np.tile(met.hole_mm - dock.rotor.T_cell_rotor[:2, 3], (2, 1, 1)).reshape(-1, 2)
+    design = np.zeros((len(offset), 2, 3))
+    design[:, 0, 0] = design[:, 1, 1] = 1.0
+    design[:, 0, 2], design[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    weight = np.ones(len(offset))
+    best = np.zeros(3)
+    for _ in range(1 + polish):
+        normal = np.einsum("n,nij,nik->jk", weight, design, design)
+        best = np.linalg.solve(normal, np.einsum("n,nij,ni->j", weight, design, offset))
+        rest = np.linalg.norm(offset - design @ best, axis=1)
+        weight = 0.5 * (weight + (rest / max(float(rest.max()), 1e-12)) ** 4 + 1e-6)
+    return PoseError(-float(best[0]), -float(best[1]), -float(np.degrees(best[2])))
+
+
+def at_best_pose(dock: Dock) -> Dock:
+    """The same dock with the shaft moved to its best pose, by the smallest turn that brings every stud to a hole."""
+    dock = _nearest_pairing(dock)
+    for _ in range(3):
+        error = pose_error(dock)
+        dock = moved(dock, -error.x_mm, -error.y_mm, -error.theta_deg)
+    return dock
+
+
+def _nearest_pairing(dock: Dock) -> Dock:
+    """Centred, and turned so that hole 0 meets one of the studs: the one where all others fit best.
+
+    Turns that fit equally well (a pattern's own symmetry) are told apart by their size.
+    """
+    gap = np.array([0.5 * dock.geometry.stud_length_mm])
+    met = meeting(dock, dock.heights_mm(gap))
+    rotor = dock.rotor.T_cell_rotor[:2, 3]
+    shift = rotor - met.centre_mm[0]
+    dock = moved(dock, float(shift[0]), float(shift[1]), 0.0)
+    studs = met.stud_mm[0] - rotor
+    hole = dock.T_cell_shaft(dock.heights_mm(gap))[0, :3, :3] @ np.array([*dock.shaft.hole_mm[0], 0.0])
+    turns = np.degrees(np.arctan2(studs[:, 1], studs[:, 0]) - np.arctan2(hole[1], hole[0]))
+    turns = np.sort((turns + 180.0) % 360.0 - 180.0)
+    turns = turns[np.argsort(np.abs(turns), kind="stable")]
+    misses = np.array([_miss(moved(dock, 0.0, 0.0, float(turn)), gap) for turn in turns])
+    good = np.flatnonzero(misses <= misses.min() + 0.5 * dock.geometry.clearance_mm)
+    return moved(dock, 0.0, 0.0, float(turns[good[0]]))
+
+
+def _miss(dock: Dock, gap: Array) -> float:
+    met = meeting(dock, dock.heights_mm(gap))
+    offset = met.stud_mm - met.hole_mm
+    return float(np.sqrt(np.mean(np.sum(offset * offset, axis=2))))
+
+
+def moved(dock: Dock, x_mm: float, y_mm: float, theta_deg: float) -> Dock:
+    """The same dock with the shaft moved in x, y and turned about the rotor's axis."""
+    offset = (dock.offset_mm[0] + x_mm, dock.offset_mm[1] + y_mm)
+    return replace(dock, offset_mm=offset, offset_deg=dock.offset_deg + theta_deg)
