@@ -1,0 +1,181 @@
+"""The cell: every device by its name in the cell file, behind latch, motion rules and force guard.
+
+This is the one place that knows backends; they are imported only where the cell file asks for them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+from hal.config import Devices
+from hal.errors import DeviceError, DeviceTimeout, SafetyOpen
+from hal.interfaces import (
+    Axis,
+    CameraPark,
+    Chuck,
+    Device,
+    ForceGuard,
+    ForceSensor,
+    GapProbe,
+    Gun,
+    Heater,
+    Identity,
+    NutFeeder,
+    PartStation,
+    SafetyInputs,
+    Scanner,
+    Thermometer,
+)
+from hal.latch import Latch
+from hal.permits import safety_refusal
+from hal.safe_stop import SafeReport, make_all_safe
+
+__all__ = ["Cell", "CellFailure", "SafeReport"]
+
+T = TypeVar("T")
+_log = logging.getLogger(__name__)
+
+EXCHANGE_DEADLINE_S = 5.0
+"""Connecting, re-arming or closing one device may take so long."""
+SAFETY_LOOK_S = 0.25
+"""Between two looks at the safety inputs of a running cell."""
+
+
+class CellFailure(DeviceError):
+    """Several devices failed at once; `failures` has each by name."""
+
+    code = "devices_failed"
+
+    def __init__(self, action: str, failures: Mapping[str, Exception], total: int) -> None:
+        listed = "; ".join(f"{name}: {getattr(error, 'reason', error)}" for name, error in failures.items())
+        super().__init__(f"{len(failures)} of {total} devices did not {action}: {listed}")
+        self.failures = dict(failures)
+
+
+class CellGuard(ForceGuard, Protocol):
+    """A force guard whose life ends with the cell's."""
+
+    async def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """All devices of one cell. Those that move or heat are behind `latch` and the motion rules of hal.permits."""
+
+    stage_x: Axis
+    stage_y: Axis
+    jack: Axis
+    shaft_table: Axis
+    gun_table: Axis
+    gun_feed: Axis
+    gun_a: Gun
+    gun_b: Gun
+    jack_force: ForceSensor
+    gun_force_a: ForceSensor
+    gun_force_b: ForceSensor
+    spigot_tc_1: Thermometer
+    spigot_tc_2: Thermometer
+    pyrometer: Thermometer
+    rotor_tc: Thermometer
+    heater: Heater
+    chuck: Chuck
+    camera_park: CameraPark
+    nut_feeder: NutFeeder
+    gap_probe_1: GapProbe
+    gap_probe_2: GapProbe
+    gap_probe_3: GapProbe
+    safety: SafetyInputs
+    part_station: PartStation
+    scanner: Scanner
+    guard: CellGuard
+    latch: Latch
+
+    def devices(self) -> tuple[Device, ...]:
+        """Every device, in the order of the cell file."""
+        return tuple(getattr(self, name) for name in Devices.model_fields)
+
+    async def connect(self) -> dict[str, Identity]:
+        """Connect all devices at once and prove who they are.
+
+        Raises CellFailure with every device that failed; the others stay connected, and connecting again is harmless.
+        """
+        return await _all("connect", self.devices(), lambda device: device.connect())
+
+    async def close(self) -> None:
+        """Close guard and devices. Never raises, leaves no task."""
+        await self.guard.close()
+        await asyncio.gather(*(_quietly(device.close()) for device in self.devices()))
+
+    async def make_safe(self, deadline_s: float, reason: str = "the cell was stopped") -> SafeReport:
+        """Halt everything at once and read back whether it is safe, within `deadline_s`; motion then needs `rearm`.
+
+        It goes on to its end even when its caller is cancelled, and may be called again at any time.
+        """
+        stop = make_all_safe(self.devices(), self.latch, reason, deadline_s)
+        return await asyncio.shield(asyncio.get_running_loop().create_task(stop, name="make safe"))
+
+    async def rearm(self) -> None:
+        """Make every set-point the measured value and open the latch: nothing old is resumed.
+
+        Raises SafetyOpen while a safety input is open or unknown, CellFailure with every device that did not re-arm;
+        the latch then stays closed.
+        """
+        await _all("re-arm", [self.safety], lambda device: device.rearm())
+        if reason := await self._safety():
+            raise SafetyOpen(reason)
+        await _all("re-arm", self.devices(), lambda device: device.rearm())
+        await self.guard.disarm()
+        await self.guard.rearm()
+        self.latch.open("safe stop")
+
+    async def until_unsafe(self) -> str:
+        """Returns the reason once a safety input is open or unknown; waits for as long as all are closed."""
+        while True:
+            if reason := await self._safety():
+                return reason
+            await asyncio.sleep(SAFETY_LOOK_S)
+
+    async def _safety(self) -> str | None:
+        try:
+            async with asyncio.timeout(EXCHANGE_DEADLINE_S):
+                return safety_refusal(await self.safety.read())
+        except (DeviceError, TimeoutError):
+            return safety_refusal(None)
+
+
+async def _all(action: str, devices: Iterable[Device], do: Callable[[Device], Awaitable[T]]) -> dict[str, T]:
+    """`do` with all devices at once, each within its own deadline. Raises CellFailure naming every one that failed."""
+    asked = tuple(devices)
+
+    async def one(device: Device) -> T:
+        try:
+            async with asyncio.timeout(EXCHANGE_DEADLINE_S):
+                return await do(device)
+        except TimeoutError:
+            raise DeviceTimeout(f"did not {action} within {EXCHANGE_DEADLINE_S:g} s", device=device.name) from None
+
+    answers = await asyncio.gather(*(one(device) for device in asked), return_exceptions=True)
+    done: dict[str, T] = {}
+    failures: dict[str, Exception] = {}
+    for device, answer in zip(asked, answers, strict=True):
+        if isinstance(answer, Exception):
+            failures[device.name] = answer
+        elif isinstance(answer, BaseException):
+            raise answer
+        else:
+            done[device.name] = answer
+    if failures:
+        raise CellFailure(action, failures, len(asked))
+    return done
+
+
+async def _quietly(closing: Awaitable[None]) -> None:
+    try:
+        async with asyncio.timeout(EXCHANGE_DEADLINE_S):
+            await closing
+    except Exception:
+        _log.exception("a device did not close")
