@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,15 @@ POWER_CUTS = ("estop", "guard_open", "sto_open", "channels_disagree")
 """Kinds of the device ``safety`` that open the hard-wired circuit."""
 
 
+@dataclass(slots=True)
+class _Waiting:
+    """What is to happen when `fault` begins; `timer` once that instant is known."""
+
+    fault: Fault
+    act: Callable[[], None]
+    timer: asyncio.TimerHandle | None = None
+
+
 class FaultBook:
     """The faults of one run and what has become of them. One instance is shared by all fakes of a cell."""
 
@@ -44,10 +54,33 @@ class FaultBook:
         self._entered_s: dict[str, float] = {}
         self._taken: set[int] = set()
         self._last_good: dict[str, Reading] = {}
+        self._waiting: list[_Waiting] = []
 
     def enter_phase(self, name: str, now: float) -> None:
         """The run enters phase `name` at loop time `now`; only the first time counts."""
         self._entered_s.setdefault(name, now)
+        self._set_timers()
+
+    def when(self, device: str, kind: str, act: Callable[[], None]) -> Callable[[], None]:
+        """Call `act` when a fault of this kind begins, for what happens in metal though nobody asks; returns what
+        ends that. Must be called inside the running loop."""
+        mine = [_Waiting(fault, act) for fault in self._by_device.get(device, ()) if fault.kind == kind]
+        self._waiting += mine
+        self._set_timers()
+
+        def end() -> None:
+            for waiting in mine:
+                if waiting.timer is not None:
+                    waiting.timer.cancel()
+            self._waiting = [waiting for waiting in self._waiting if waiting not in mine]
+
+        return end
+
+    def _set_timers(self) -> None:
+        for waiting in self._waiting:
+            start_s = self.start_s(waiting.fault)
+            if waiting.timer is None and start_s < math.inf:
+                waiting.timer = asyncio.get_running_loop().call_at(start_s, waiting.act)
 
     def start_s(self, fault: Fault) -> float:
         """Loop time at which `fault` begins; infinite while its phase has not been entered."""

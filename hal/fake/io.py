@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,6 +119,22 @@ class FakeChuck(IoDevice):
         super().__init__(name, plant, faults)
         self._data = data or ChuckData()
         self._stroke = Stroke()
+        self._unplanned: list[Callable[[], None]] = []
+
+    async def connect(self) -> Identity:
+        """Prove the device's identity."""
+        identity = await super().connect()
+        if not self._unplanned:
+            self._unplanned = [
+                self._faults.when(self.name, kind, self._lose_grip) for kind in ("opening", "pressure_drop")
+            ]
+        return identity
+
+    async def close(self) -> None:
+        """Drop the link."""
+        await super().close()
+        while self._unplanned:
+            self._unplanned.pop()()
 
     async def read(self) -> ChuckState:
         """Both feedbacks and the pressure."""
@@ -155,12 +172,21 @@ class FakeChuck(IoDevice):
             )
         return state
 
-    def _image(self, now: float) -> ChuckState:
-        faults, pressure = self._faults, self._data.pressure_bar
-        if drop := faults.active(self.name, "pressure_drop", now):
-            pressure = drop.number
-        if faults.active(self.name, "opening", now) or pressure < self._data.holds_above_bar:
+    def _pressure_bar(self, now: float) -> float:
+        drop = self._faults.active(self.name, "pressure_drop", now)
+        return drop.number if drop else self._data.pressure_bar
+
+    def _lose_grip(self) -> None:
+        """The jaws open where a fault opens them or the pressure no longer holds them."""
+        now = asyncio.get_running_loop().time()
+        opening = self._faults.active(self.name, "opening", now)
+        if opening or self._pressure_bar(now) < self._data.holds_above_bar:
+            self._plant.advance(now)
             self._plant.set_chuck(clamped=False)
+
+    def _image(self, now: float) -> ChuckState:
+        self._lose_grip()
+        faults, pressure = self._faults, self._pressure_bar(now)
         held = self._plant.chuck_clamped and not self._stroke.under_way
         first, second = held, held
         if faults.active(self.name, "both_unset", now):

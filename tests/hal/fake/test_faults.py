@@ -198,3 +198,21 @@ def test_a_stuck_stream_stays_stuck_over_blocks() -> None:
 def test_a_hard_wired_stop_cuts_the_power_while_it_lasts() -> None:
     book = FaultBook([Fault("safety", "estop", at_s=1.0, duration_s=2.0), Fault("safety", "bench_moved")])
     assert [book.power_cut(now) for now in (0.5, 1.5, 3.5)] == ["", "estop", ""]
+
+
+def test_what_happens_in_metal_happens_when_the_fault_begins() -> None:
+    book = FaultBook([Fault("chuck", "opening", phase="jack_up", at_s=2.0), Fault("chuck", "opening", at_s=1.0)])
+
+    async def main() -> list[float]:
+        loop = asyncio.get_running_loop()
+        seen: list[float] = []
+        end = book.when("chuck", "opening", lambda: seen.append(loop.time()))
+        other = book.when("chuck", "opening", lambda: seen.append(-1.0))
+        other()
+        await asyncio.sleep(5.0)
+        book.enter_phase("jack_up", loop.time())
+        await asyncio.sleep(5.0)
+        end()
+        return seen
+
+    assert run_virtual(main()) == pytest.approx([1.0, 7.0])
