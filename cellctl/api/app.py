@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-
 from fastapi import FastAPI
 from starlette.types import ASGIApp
 
-from cellctl.api import cell, dry_runs, events, health, job_orders, page, problems, recipes, runs
+from cellctl.api import cell, dry_runs, events, health, job_orders, openapi, page, problems, recipes, runs
 from cellctl.api.auth import undeclared
 from cellctl.api.limits import BodyLimits
-from cellctl.api.openapi import describe
 from cellctl.api.services import Services
 
 BASE = "/api/v1"
@@ -22,10 +18,6 @@ READ_LIMIT_S = 10.0
 def create_app(services: Services | None) -> FastAPI:
     """The application. Without services it can only describe itself. Raises where a route declares no role."""
 
-    @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        yield
-
     # The documentation pages of FastAPI need files from outside the cell, so there are none.
     app = FastAPI(
         title="cellctl",
@@ -33,21 +25,20 @@ def create_app(services: Services | None) -> FastAPI:
         summary="Cell controller of the shaft assembly",
         docs_url=None,
         redoc_url=None,
-        openapi_url=f"{BASE}/openapi.json",
-        lifespan=lifespan,
+        openapi_url=None,
         redirect_slashes=False,
     )
     app.state.services = services
-    for module in (cell, job_orders, runs, recipes, dry_runs, events):
+    for module in (cell, job_orders, runs, recipes, dry_runs, events, openapi):
         app.include_router(module.router, prefix=BASE)
     app.include_router(health.router, prefix=BASE)
     app.include_router(health.router, include_in_schema=False)
     app.include_router(page.router, include_in_schema=False)
-    missing = list(undeclared(app))
+    missing = undeclared(app)
     if missing:
         raise RuntimeError(f"routes without a declared role: {', '.join(missing)}")
     problems.install(app)
-    describe(app)
+    openapi.describe(app)
     wall_s = services.wall_s if services is not None else 1.0
     app.add_middleware(_limited, read_limit_s=READ_LIMIT_S * wall_s)
     return app

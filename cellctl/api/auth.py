@@ -7,11 +7,13 @@ import secrets
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from inspect import iscoroutinefunction
 from types import MappingProxyType
 from typing import Annotated, Protocol
 
 from fastapi import FastAPI, Request, Security
-from fastapi.routing import APIRoute
+from fastapi.dependencies.models import Dependant
+from fastapi.routing import APIRoute, iter_route_contexts
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from cellctl.api.problems import ProblemError
@@ -112,19 +114,40 @@ class Public:
         """Nothing to check."""
 
 
-def declaration(route: APIRoute) -> Allow | Public | None:
-    """The roles that a route declares, None where it declares none."""
-    waiting = list(route.dependant.dependencies)
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """A route with what it declares: roles, public, or nothing."""
+
+    path: str
+    methods: tuple[str, ...]
+    in_schema: bool
+    coroutine: bool
+    access: Allow | Public | None
+
+
+def declared(app: FastAPI) -> Iterator[Declared]:
+    """Every route of `app`."""
+    for route in iter_route_contexts(app.routes):
+        is_api = isinstance(route.original_route, APIRoute)
+        yield Declared(
+            path=route.path or "",
+            methods=tuple(sorted(route.methods or ())),
+            in_schema=is_api and route.include_in_schema,
+            coroutine=iscoroutinefunction(route.endpoint),
+            access=_access(route.dependant) if is_api else None,
+        )
+
+
+def undeclared(app: FastAPI) -> list[str]:
+    """The routes of `app` that declare no role: there must be none."""
+    return [f"{'/'.join(route.methods)} {route.path}" for route in declared(app) if route.access is None]
+
+
+def _access(dependant: Dependant) -> Allow | Public | None:
+    waiting = [dependant]
     while waiting:
-        dependant = waiting.pop()
-        if isinstance(dependant.call, Allow | Public):
-            return dependant.call
-        waiting.extend(dependant.dependencies)
+        each = waiting.pop()
+        if isinstance(each.call, Allow | Public):
+            return each.call
+        waiting.extend(each.dependencies)
     return None
-
-
-def undeclared(app: FastAPI) -> Iterator[str]:
-    """Every route of `app` that declares no role."""
-    for route in app.routes:
-        if isinstance(route, APIRoute) and declaration(route) is None:
-            yield f"{sorted(route.methods or ())} {route.path}"

@@ -11,17 +11,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import APIRouter, Depends, FastAPI, Request
 from fastapi.openapi.utils import get_openapi
-from fastapi.routing import APIRoute
 
-from cellctl.api.auth import Allow, declaration
+from cellctl.api.auth import Allow, Declared, Role, declared
 from cellctl.api.problems import Problem
 
 PROBLEM = {
     "description": "Problem details (RFC 9457)",
     "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
 }
+router = APIRouter(tags=["openapi"])
+
+
+@router.get("/openapi.json", dependencies=[Depends(Allow(Role.VIEWER))])
+async def openapi_document(request: Request) -> dict[str, Any]:
+    """This description."""
+    app: FastAPI = request.app
+    return app.openapi()
 
 
 def describe(app: FastAPI) -> None:
@@ -45,21 +52,20 @@ def _document(app: FastAPI) -> dict[str, Any]:
     schemas["Problem"] = problem
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
-    for route in app.routes:
-        if isinstance(route, APIRoute) and route.include_in_schema:
-            for method in route.methods or ():
-                _complete(document["paths"][route.path_format][method.lower()], route)
+    for route in declared(app):
+        if route.in_schema:
+            for method in route.methods:
+                _complete(document["paths"][route.path][method.lower()], route)
     for place, node in numbers(document):
         if "unit" not in node and "integer" in place[1]:
             node["unit"] = "1"  # whole numbers count something
     return document
 
 
-def _complete(operation: dict[str, Any], route: APIRoute) -> None:
+def _complete(operation: dict[str, Any], route: Declared) -> None:
     operation["responses"].pop("422", None)
     operation["responses"]["4XX"] = PROBLEM
-    declared = declaration(route)
-    operation["x-roles"] = sorted(declared.roles) if isinstance(declared, Allow) else ["public"]
+    operation["x-roles"] = sorted(route.access.roles) if isinstance(route.access, Allow) else ["public"]
 
 
 def numbers(node: Any, path: str = "") -> Iterator[tuple[tuple[str, tuple[str, ...]], dict[str, Any]]]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import AsyncIterator
 from datetime import datetime
+from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
-from fastapi.responses import FileResponse, HTMLResponse
+from fastapi.responses import HTMLResponse, StreamingResponse
 
 from cellctl.api.auth import Allow, Role
 from cellctl.api.problems import ProblemError
@@ -16,6 +19,7 @@ from cellctl.api.strict import StrictRoute
 from cellctl.records.errors import UnknownRun
 from cellctl.records.summary import RunSummary
 
+CHUNK_BYTES = 1 << 18
 VIEWER = [Depends(Allow(Role.VIEWER))]
 router = APIRouter(route_class=StrictRoute, tags=["runs"])
 
@@ -80,16 +84,17 @@ async def joints(run_id: str, services: Annotated[Services, Depends(services_of)
 
 @router.get(
     "/runs/{run_id}/record",
-    response_class=FileResponse,
+    response_class=StreamingResponse,
     responses={200: {"description": "The sealed record", "content": {"application/zip": {}}}},
     dependencies=VIEWER,
 )
-async def record(run_id: str, services: Annotated[Services, Depends(services_of)]) -> FileResponse:
+async def record(run_id: str, services: Annotated[Services, Depends(services_of)]) -> StreamingResponse:
     """The sealed record; 404 until the run is sealed."""
     path = services.runs.record_path(run_id)
     if path is None:
         raise ProblemError(404, "record_not_sealed", "the run has no sealed record yet")
-    return FileResponse(path, media_type="application/zip", filename=f"{run_id}.zip")
+    headers = {"Content-Disposition": f'attachment; filename="{run_id}.zip"'}
+    return StreamingResponse(_chunks(path), media_type="application/zip", headers=headers)
 
 
 @router.get("/runs/{run_id}/report", response_class=HTMLResponse, dependencies=VIEWER)
@@ -97,6 +102,21 @@ async def report(run_id: str, services: Annotated[Services, Depends(services_of)
     """The report as HTML, from what is in the journal now."""
     policy = {"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:"}
     return HTMLResponse(await services.runs.report(run_id), headers=policy)
+
+
+async def _chunks(path: Path) -> AsyncIterator[bytes]:
+    """A file piece by piece, read outside of the loop."""
+    loop = asyncio.get_running_loop()
+    offset = 0
+    while chunk := await loop.run_in_executor(None, _read, path, offset):
+        offset += len(chunk)
+        yield chunk
+
+
+def _read(path: Path, offset: int) -> bytes:
+    with path.open("rb") as file:
+        file.seek(offset)
+        return file.read(CHUNK_BYTES)
 
 
 async def _summary(run_id: str, services: Services) -> RunSummary | None:

@@ -40,7 +40,7 @@ class Services:
     wall_s: float = 1.0
 
 
-def services_of(request: Request) -> Services:
+async def services_of(request: Request) -> Services:
     """The services of the app that handles `request`."""
     services: Services = request.app.state.services
     return services
