@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from hal.fake.camera import Camera, ScanErrors
-from hal.fake.scene_hits import FLAT, HitBuffer, Mask
+from hal.fake.scene_hits import FLAT, HitBuffer, Mask, dot
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -49,14 +49,14 @@ def seen(hits: HitBuffer, errors: ScanErrors, facing: Array) -> Mask:
     near_normal = facing > np.cos(np.radians(errors.glare_deg) + 0.5 * np.arctan(parallax))
     pixels = np.flatnonzero(valid & ((hits.owner != FLAT) | near_normal))
     points, normal = hits.points(pixels), hits.normal[pixels].astype(np.float64)
-    back = -points / np.linalg.norm(points, axis=1, keepdims=True)
+    back = -points / np.sqrt(dot(points, points))[:, None]
     good = np.ones(pixels.size, dtype=np.bool_)
     for eye in camera.eyes_mm:
         towards = np.asarray(eye) - points
-        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        good &= np.sum(towards * normal, axis=1) >= np.cos(np.radians(errors.eye_steep_deg))
+        towards /= np.sqrt(dot(towards, towards))[:, None]
+        good &= dot(towards, normal) >= np.cos(np.radians(errors.eye_steep_deg))
         half = back + towards
-        mirror = np.sum(half * normal, axis=1) / np.linalg.norm(half, axis=1)
+        mirror = dot(half, normal) / np.sqrt(dot(half, half))
         good &= mirror <= np.cos(np.radians(errors.glare_deg))
     valid[pixels[~good]] = False
     return valid

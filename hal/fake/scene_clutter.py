@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.fake.scene_hits import ROUND, HitBuffer, bar_corners, projected_box
+from hal.fake.scene_hits import ROUND, HitBuffer, bar_corners, dot, projected_box
 from hal.fake.scene_shapes import Clutter
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ def clutter_hits(hits: HitBuffer, clutter: Clutter) -> None:
     length = np.linalg.norm(axis, axis=1)
     axis = (axis / length[:, None])[k]
     from_start = depth[:, None] * ray - bars[k, 0]
-    along = np.sum(from_start * axis, axis=1)
+    along = dot(from_start, axis)
     radial = (from_start - along[:, None] * axis) / radius[k, None]
     on_side = np.linalg.norm(radial, axis=1) > 1.0 - 1e-9
     cap = np.where(along > 0.5 * length[k], 1.0, -1.0)[:, None] * axis
@@ -54,11 +54,11 @@ def bar_interval(origin: Array, ray: Array, ends: Array, radius: Array) -> tuple
     length = np.linalg.norm(axis, axis=1)
     axis = axis / length[:, None]
     offset = origin - ends[:, 0]
-    ray_along, off_along = np.sum(ray * axis, axis=1), np.sum(offset * axis, axis=1)
+    ray_along, off_along = dot(ray, axis), dot(offset, axis)
     ray_across, off_across = ray - ray_along[:, None] * axis, offset - off_along[:, None] * axis
-    a = np.sum(ray_across**2, axis=1)
-    b = np.sum(ray_across * off_across, axis=1)
-    c = np.sum(off_across**2, axis=1) - radius**2
+    a = dot(ray_across, ray_across)
+    b = dot(ray_across, off_across)
+    c = dot(off_across, off_across) - radius**2
     root = np.sqrt(np.maximum(b * b - a * c, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         slab = np.sort(np.stack([-off_along / ray_along, (length - off_along) / ray_along]), axis=0)
@@ -70,9 +70,9 @@ def bar_interval(origin: Array, ray: Array, ends: Array, radius: Array) -> tuple
 def sphere_interval(origin: Array, ray: Array, center: Array, radius: float) -> tuple[Array, Array]:
     """Parameters at which rays enter and leave spheres, each (n,); enter > leave: missed."""
     offset = origin - center
-    a = np.sum(ray * ray, axis=1)
-    b = np.sum(ray * offset, axis=1)
-    c = np.sum(offset * offset, axis=1) - radius * radius
+    a = dot(ray, ray)
+    b = dot(ray, offset)
+    c = dot(offset, offset) - radius * radius
     root = np.sqrt(np.maximum(b * b - a * c, 0.0))
     met = b * b >= a * c
     return np.where(met, (-b - root) / a, np.inf), np.where(met, (-b + root) / a, -np.inf)

@@ -53,6 +53,11 @@ class HitBuffer:
         self.dark[at] = dark if isinstance(dark, bool) else dark[near]
 
 
+def dot(a: Array, b: Array) -> Array:
+    """(n,) of the products of rows (n, 3)."""
+    return np.asarray(np.einsum("ij,ij->i", a, b))
+
+
 def projected_box(corners: Array) -> tuple[Array, Array]:
     """Slopes (n, 2) low and high of the boxes spanned by `corners` (n, m, 3), all in front of the camera."""
     slopes = corners[..., :2] / corners[..., 2:]

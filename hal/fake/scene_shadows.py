@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.fake.scene_clutter import CLOSEST_MM, bar_interval, sphere_interval, visible_bars
-from hal.fake.scene_hits import HitBuffer, Indices, bar_corners, projected_box
+from hal.fake.scene_hits import HitBuffer, Indices, bar_corners, dot, projected_box
 from hal.fake.scene_shapes import Clutter
 
 Array = NDArray[np.float64]
@@ -56,6 +56,6 @@ def _shadows(hits: HitBuffer, corners: Array, interval: Interval, first_owner: i
         pixels, k = pixels[seen], k[seen]
         points = hits.points(pixels)
         direction = np.asarray(eye) - points
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        direction /= np.sqrt(dot(direction, direction))[:, None]
         enter, leave = interval(k, points, direction)
         hits.dark[pixels[(enter <= leave) & (leave > CLEAR_MM)]] = True

@@ -87,15 +87,3 @@ def frame_on(axis: Array) -> Array:
     x = np.array([1.0, 0.0, 0.0]) - axis[:, :1] * axis
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     return np.stack([x, np.cross(axis, x), axis], axis=1)
-
-
-def part_surface_deviation(shape: PartShape, points: Array) -> Array:
-    """Distance (n,) of points in the part frame to the nearest analytic surface of the part; unbounded surfaces."""
-    r, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
-    gaps = [np.abs(z - ring[2]) for ring in shape.rings_mm]
-    for r0, z0, r1, z1 in shape.bevels_mm:
-        length = np.hypot(r1 - r0, z1 - z0)
-        gaps.append(np.abs((r - r0) * (z1 - z0) - (z - z0) * (r1 - r0)) / length)
-    if shape.bore_mm is not None:
-        gaps.append(np.abs(r - shape.bore_mm[0]))
-    return np.asarray(np.min(gaps, axis=0))

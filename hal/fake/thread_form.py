@@ -137,11 +137,11 @@ def _illinois(
 def blocked(form: StudForm, point: Array, towards: Array, phase: Array) -> NDArray[np.bool_]:
     """Whether the stud itself hides its surface points (n, 3) from places in directions `towards` (n, 3), per z of 1.
 
-    Marches up in steps of P/8 until the ray has left the crest cylinder or passed the tip.
+    Marches up in steps of P/24 until the ray has left the crest cylinder or passed the tip.
     """
     hidden = np.zeros(point.shape[0], dtype=np.bool_)
     active = np.arange(point.shape[0])
-    step = form.pitch_mm / 8.0
+    step = form.pitch_mm / 24.0
     travelled = 0.02
     while active.size:
         p = point[active] + travelled * towards[active]
