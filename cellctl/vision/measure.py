@@ -161,7 +161,8 @@ def _check(quality: dict[str, float], features: tuple[FeatureFit, ...], part: Pa
         )
     if quality["min_points_per_feature"] < gates.min_points_per_feature:
         shown = quality["min_points_per_feature"]
-        raise Refused("too_few_points", f"a feature shows {shown:.0f} points, {gates.min_points_per_feature} are needed")
+        least = gates.min_points_per_feature
+        raise Refused("too_few_points", f"a feature shows {shown:.0f} points, at least {least} are needed")
     found = sum(feature.found for feature in features)
     if found < max(3, (part.count + 1) // 2):
         raise Refused("features_missing", f"{found} of {part.count} features found")
