@@ -138,7 +138,7 @@ def _curve(
     back = np.where(lateral > 0.0, axial_ratio(contacts.tan_phi, mu, inwards=False), 0.0) * lateral @ onto
     engaged = np.maximum(dock.geometry.spigot_length_mm - dock.geometry.spigot_chamfer_mm - gaps, 0.0)
     press = engaged * press_slope_n_per_mm(
-        dock.geometry, dock.interference_mm(), dock.properties.stud_modulus_n_per_mm2, mu
+        dock.geometry, dock.interference_mm, dock.properties.stud_modulus_n_per_mm2, mu
     )
     faces = dock.faces().force_n(gaps)
     column = press + faces + into[:, n] - dock.clamp_force_n
@@ -168,7 +168,7 @@ def _contacts(dock: Dock, met: Meeting, profile: EntryProfile, gaps: Array, jamm
     inside = depth > profile.full_depth_mm
     tip_free = np.where(inside, profile.hole_mm - profile.stud_mm, np.inf)
     spigot = geometry.spigot_length_mm - gaps
-    opening = max(-0.5 * dock.interference_mm(), 0.0)
+    opening = max(-0.5 * dock.interference_mm, 0.0)
     spigot_free = np.where(spigot > 0.0, opening + np.maximum(geometry.spigot_chamfer_mm - spigot, 0.0), np.inf)
     spigot_slope = np.where((spigot > 0.0) & (spigot < geometry.spigot_chamfer_mm), 1.0, 0.0)
     centre = dock.rotor.T_cell_rotor[:2, 3] - met.centre_mm

@@ -19,13 +19,11 @@ from hal.fake.frames import pose, rotation_z
 from hal.fake.geometry import BenchGeometry, JointGeometry
 from hal.fake.levels import Properties
 from hal.fake.parts import CellTruth, RotorTruth, ShaftTruth
-from hal.fake.press import Faces, interference_mm
+from hal.fake.press import Faces
 from hal.fake.stack import Motors, T_cell_table, true_linear_mm
 
 Array = NDArray[np.float64]
 
-REFERENCE_C = 20.0
-"""Temperature of the drawings."""
 HARDEST_STUD_N_PER_MM = 1.0e5
 """Local stiffness of thread on hole wall: what is left when the stud has no free length to bend."""
 OPEN_CHUCK_SHARE = 0.1
@@ -47,10 +45,13 @@ class Dock:
     cell: CellTruth
     motors: Motors
     slip_deg: float = 0.0
-    shaft_c: float = REFERENCE_C
-    rotor_c: float = REFERENCE_C
+    interference_mm: float = 0.0
+    """Present diametral interference of the spigot; negative is clearance."""
+    circle_growth: float = 0.0
+    """Relative thermal growth of the hole circle against the stud circle."""
     clamped: bool = True
     clamp_force_n: float = 0.0
+    """What the nuts pull together."""
     offset_mm: tuple[float, float] = (0.0, 0.0)
     offset_deg: float = 0.0
 
@@ -89,6 +90,10 @@ class Dock:
         at_zero = true_linear_mm(self.cell, 2, np.zeros(1), self.motors.directions[2])[0]
         return np.asarray((z_mm - at_zero) / (1.0 + self.cell.scale[2]))
 
+    def true_mm(self, motor_mm: Array) -> Array:
+        """True jack heights of motor positions."""
+        return true_linear_mm(self.cell, 2, motor_mm, self.motors.directions[2])
+
     def stiffness_n_per_mm(self) -> Array:
         """(3,) what holds the shaft in x, y and tangentially."""
         held = 1.0 if self.clamped else OPEN_CHUCK_SHARE
@@ -100,10 +105,6 @@ class Dock:
         tilt = math.hypot(float(normal[0]), float(normal[1]))
         stiffness = self.properties.chuck_tilt_stiffness_nmm_per_rad
         return Faces(tilt, 0.5 * self.geometry.face_outer_diameter_mm, stiffness)
-
-    def interference_mm(self) -> float:
-        """Present diametral interference of the spigot."""
-        return interference_mm(self.geometry, self.shaft.interference_mm, self.shaft_c, self.rotor_c)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,14 +128,12 @@ class Meeting:
 
 def meeting(dock: Dock, z_mm: Array) -> Meeting:
     """Where studs and holes are at true heights `z_mm` (m,), thermal growth included."""
-    grow = dock.geometry.expansion_per_k
     n = dock.geometry.count
     rotor = dock.rotor.T_cell_rotor
-    studs = dock.rotor.stud_mm * (1.0 + grow * (dock.rotor_c - REFERENCE_C))
-    stud_at = np.column_stack([studs, np.zeros(n)]) @ rotor[:3, :3].T + rotor[:3, 3]
+    stud_at = np.column_stack([dock.rotor.stud_mm, np.zeros(n)]) @ rotor[:3, :3].T + rotor[:3, 3]
     stud_axis = np.column_stack([dock.rotor.slope, np.ones(n)]) @ rotor[:3, :3].T
     shaft = dock.T_cell_shaft(z_mm)
-    holes = dock.shaft.hole_mm * (1.0 + grow * (dock.shaft_c - REFERENCE_C))
+    holes = dock.shaft.hole_mm * (1.0 + dock.circle_growth)
     hole_at = np.column_stack([holes, np.zeros(n)]) @ np.swapaxes(shaft[:, :3, :3], 1, 2) + shaft[:, None, :3, 3]
     hole_axis = np.column_stack([dock.shaft.slope, np.ones(n)]) @ np.swapaxes(shaft[:, :3, :3], 1, 2)
     apart = stud_at[:, None, :2] - hole_at[-1][None, :, :2]

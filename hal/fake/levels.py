@@ -91,7 +91,8 @@ class Properties:
     """End condition of a bending stud: 3 free to turn, 12 guided by its hole."""
     spigot_stiffness_n_per_mm: float = _n(2.0e5, "N/mm")
     """Local radial stiffness of the rabbet ring where it centres the shaft."""
-    chuck_tilt_stiffness_nmm_per_rad: float = _n(1.0e8, "N mm/rad")
+    chuck_tilt_stiffness_nmm_per_rad: float = _n(3.0e7, "N mm/rad")
+    """Of the column under the chuck: k h^2 / 3 for a cantilever of h = 300 mm with the lateral stiffness k."""
     damage_force_n: float = _n(500.0, "N")
     """Axial or lateral force on one stud that ruins its first thread."""
     contact_damping: float = _n(0.1, "1")

@@ -6,12 +6,14 @@ How a fake uses it (always `advance` first; time is the event loop's)::
     plant.start_move("jack", 380.0, speed=10.0, acceleration=50.0, now=now); plant.stop("jack", 50.0, now)
     plant.motion["gun_table"].position(now)          # motor position = what an encoder reads, mm or deg
     plant.T_cell_shaft(), T_cell_rotor(), T_cell_camera("rotor" | "shaft")     # true poses at the last `advance`
-    plant.gap_mm(), plant.gap_at(x_mm, y_mm)          # true distance of the faces along z, >= 0
+    plant.gap_mm(), plant.gap_at(x_mm, y_mm)          # true distance of the faces along z, >= 0, contact included
+    plant.jack_force_n(times)                         # what the jack's sensor carries at times (k,), raw newton
+    plant.closing_resistance_n()                      # axial force that closes the joint now
     plant.rotor, plant.shaft, plant.cell              # RotorTruth, ShaftTruth, CellTruth (features, axes errors)
     plant.load_parts("R-1", "S-1")                    # other parts, drawn from seed and serial numbers
     plant.set_chuck(clamped=True), plant.turn_shaft(0.01)      # shaft turned in its chuck by reaction torque, deg
     plant.camera = "parked" | "rotor" | "shaft" | "moving"     # where the camera's arm is
-    plant.thermal, plant.joints                       # slots, see `ThermalTruth` and `JointsTruth`
+    plant.thermal, plant.joints                       # heat and nuts, see hal.fake.slots
     plant.numbers.imperfections, plant.numbers.properties      # every number, overrides applied
     plant.rng("gun_a", "friction")                    # generator of your own, same for the same names
     plant.damage("what")                              # something was hit or overloaded: the joint is not good
@@ -22,47 +24,33 @@ The controller never sees any of this; `hal.fake.truth.truth_of` is the one door
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.fake.frames import child_rng, small_pose
+from hal.fake.engagement import Engagement, closing_resistance_n
+from hal.fake.frames import child_rng
 from hal.fake.geometry import BenchGeometry, JointGeometry
+from hal.fake.insertion import Dock
 from hal.fake.levels import Level, TwinNumbers, numbers
 from hal.fake.motion import AxisMotion, Trajectory
 from hal.fake.parts import RotorTruth, ShaftTruth, draw_cell, draw_rotor, draw_shaft
-from hal.fake.stack import Motors, T_cell_table, true_linear_mm
+from hal.fake.slots import Isothermal, JointsTruth, Loose, ThermalTruth
+from hal.fake.stack import Motors
 
 Array = NDArray[np.float64]
 CameraPlace = Literal["parked", "rotor", "shaft", "moving"]
+STEP_S = 0.25
+"""Between two looks at the heat while the spigot engages."""
+GRAVITY_MM_S2 = 9806.65
+GUIDE_PITCH_MM = 40.0
+"""Over which the guides' friction varies: the pitch of the balls' recirculation."""
+CLOSED_N = 50_000.0
 AXES = ("stage_x", "stage_y", "jack", "shaft_table", "gun_table", "gun_feed")
-
-
-class ThermalTruth(Protocol):
-    """Temperatures of the two members of the spigot, degrees Celsius."""
-
-    @property
-    def shaft_c(self) -> float: ...
-    @property
-    def rotor_c(self) -> float: ...
-    def advance(self, now: float, gap_mm: float) -> None:
-        """Integrate to `now`; `gap_mm` is the present distance of the faces (the spigot engages below its length)."""
-        ...
-
-
-class JointsTruth(Protocol):
-    """The nuts."""
-
-    def preload_n(self) -> Array:
-        """(n,) present preload of each stud."""
-        ...
-
-    def yielded(self) -> NDArray[np.bool_]:
-        """(n,) studs beyond yield, or threads stripped."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,32 +60,6 @@ class TwinSettings:
     seed: int = 1
     level: Level = "nominal"
     overrides: Mapping[str, float] = field(default_factory=dict)
-
-
-class Isothermal:
-    """Both members at one temperature: a bench without a heater."""
-
-    def __init__(self, temperature_c: float) -> None:
-        self.shaft_c = temperature_c
-        self.rotor_c = temperature_c
-
-    def advance(self, now: float, gap_mm: float) -> None:
-        """Nothing changes."""
-
-
-class Loose:
-    """Studs without nuts."""
-
-    def __init__(self, count: int) -> None:
-        self._count = count
-
-    def preload_n(self) -> Array:
-        """(n,) zeros."""
-        return np.zeros(self._count)
-
-    def yielded(self) -> NDArray[np.bool_]:
-        """(n,) false."""
-        return np.zeros(self._count, dtype=bool)
 
 
 class Plant:
@@ -116,9 +78,10 @@ class Plant:
         self.cell = draw_cell(self.bench, self.numbers, settings.seed)
         self.camera: CameraPlace = "parked"
         self.chuck_clamped = True
-        self.thermal: ThermalTruth = Isothermal(self.numbers.properties.ambient_c)
+        self.thermal: ThermalTruth = Isothermal(self.numbers.properties.ambient_c, lambda: self.shaft)
         self.joints: JointsTruth = Loose(geometry.count)
-        self.damages: list[str] = []
+        self.damages: list[str]
+        self.engagement: Engagement
         self._listeners: list[Callable[[], None]] = []
         self.rotor: RotorTruth
         self.shaft: ShaftTruth
@@ -137,6 +100,8 @@ class Plant:
         self.shaft = draw_shaft(self.geometry, self.numbers, seed, shaft_serial)
         self.slip_deg = 0.0
         self.loaded_s = self.now
+        self.engagement = Engagement(self.geometry.count)
+        self.damages = []
 
     def damage(self, what: str) -> None:
         """Note once that something was hit or overloaded."""
@@ -147,10 +112,46 @@ class Plant:
 
     def advance(self, now: float) -> None:
         """Integrate up to `now`; earlier times are ignored."""
-        if now <= self.now:
-            return
+        while self.now < now:
+            self._step(min(now, self.now + STEP_S) if self._closing() else now)
+
+    def _closing(self) -> bool:
+        """Whether the jack moves where the gap decides the heat flow."""
+        return self.motion["jack"].moving(self.now) and self.gap_mm() < 2.0 * self.geometry.spigot_length_mm
+
+    def _step(self, now: float) -> None:
         self.thermal.advance(now, self.gap_mm())
-        self.now = now
+        before, self.now = self.now, now
+        self._collide(before)
+        jack = self.motion["jack"]
+        ends = jack.positions(np.array([before, now]))
+        if not self._reaches(float(ends.max())):
+            return
+        low, high = float(ends.min()), float(ends.max())
+        dock = self.dock()
+        moving = high > low
+        curve = self.engagement.curve(dock) if moving else self.engagement.near(dock, high)
+        self.engagement.record(curve, low, high, self.geometry.spigot_length_mm)
+        worst = np.maximum(self.engagement.peak_n, self.engagement.lateral_peak_n)
+        for stud in np.flatnonzero(worst > self.numbers.properties.damage_force_n):
+            self.damage(f"stud {stud} was overloaded")
+        entered = self.geometry.entry_gap_mm - self.geometry.lead_in_mm - self.geometry.chamfer_depth_mm
+        if moving and curve.gap_at(low) > entered >= curve.gap_at(high):
+            self.engagement.enter(dock)
+
+    def _reaches(self, motor_mm: float) -> bool:
+        """Whether studs and shaft can touch with the jack at `motor_mm`; a millimetre early."""
+        return self.bench.rotor_face_mm - motor_mm < self.geometry.entry_gap_mm + 1.0
+
+    def _collide(self, before: float) -> None:
+        """Things that may not share a volume, looked at over [before, now]."""
+        span = np.linspace(before, self.now, 9)
+        if self.camera != "parked" and self.motion["jack"].positions(span).max() > self.bench.camera_clear_height_mm:
+            self.damage("the shaft hit the camera's arm")
+        table, feed = self.motion["gun_table"], self.motion["gun_feed"]
+        out = feed.positions(span) > self.bench.gun_clear_feed_mm
+        if np.any(out & (np.abs(table.velocities(span)) > 0.0)):
+            self.damage("the guns turned into the nuts")
 
     def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` whenever a motion changes; returns what ends that."""
@@ -165,7 +166,19 @@ class Plant:
     def stop(self, axis: str, acceleration: float, now: float) -> Trajectory:
         """Quick stop and brake; returns the stopping trajectory."""
         self.advance(now)
-        return self._changed(self.motion[axis].stop(acceleration, now, self.numbers.properties.brake_delay_s))
+        motion = self.motion[axis]
+        speed = motion.velocity(now)
+        trajectory = motion.stop(acceleration, now, self.numbers.properties.brake_delay_s)
+        if axis == "jack" and self._reaches(trajectory.target):
+            dock = self.dock()
+            curve = self.engagement.curve(dock)
+            self.engagement.stopped(curve, motion, dock, speed, acceleration, now)
+        return self._changed(trajectory)
+
+    def drop(self, axis: str, seconds: float, now: float) -> Trajectory:
+        """Power is cut with the brake open: a load that hangs on the axis falls until the brake holds."""
+        self.advance(now)
+        return self._changed(self.motion[axis].fall(GRAVITY_MM_S2, seconds, 0.0, now))
 
     def _changed(self, trajectory: Trajectory) -> Trajectory:
         for listener in tuple(self._listeners):
@@ -182,13 +195,37 @@ class Plant:
             x.position(at), y.position(at), z.position(at), theta.position(at), (x.direction, y.direction, z.direction)
         )
 
+    def dock(self) -> Dock:
+        """What decides the contact now."""
+        return Dock(
+            geometry=self.geometry,
+            bench=self.bench,
+            properties=self.numbers.properties,
+            rotor=self.rotor,
+            shaft=self.shaft,
+            cell=self.cell,
+            motors=self.motors(),
+            slip_deg=self.slip_deg,
+            interference_mm=self.thermal.interference_mm,
+            circle_growth=self.thermal.circle_growth,
+            clamped=self.chuck_clamped,
+            clamp_force_n=self._clamp_n(),
+        )
+
+    def _clamp_n(self) -> float:
+        """Pull of the nuts on the column; beyond what closes the joint it makes no difference."""
+        pull = float(self.joints.preload_n().sum())
+        return min(pull, CLOSED_N) if pull > 0.0 else 0.0
+
     def T_cell_shaft(self) -> Array:
-        """(4, 4) true pose of the shaft."""
-        at = self.motors()
-        z = true_linear_mm(self.cell, 2, np.array(at.z_mm), at.directions[2])
-        slip = small_pose(np.zeros(3), np.array([0.0, 0.0, self.slip_deg]))
-        table = T_cell_table(self.cell, at, z, self.bench.jack_stroke_mm)
-        return np.asarray(table @ slip @ self.shaft.T_chuck_shaft)
+        """(4, 4) true pose of the shaft: lifted no further than contact lets it."""
+        dock = self.dock()
+        pose = dock.T_cell_shaft(dock.true_mm(np.array([dock.motors.z_mm])))[0]
+        if self._reaches(dock.motors.z_mm):
+            pose[2, 3] = self.bench.rotor_face_mm - self.engagement.near(dock, dock.motors.z_mm).gap_at(
+                dock.motors.z_mm
+            )
+        return np.asarray(pose)
 
     def T_cell_rotor(self) -> Array:
         """(4, 4) true pose of the rotor (z down)."""
@@ -199,15 +236,46 @@ class Plant:
         return self.cell.T_cell_camera_rotor if view == "rotor" else self.cell.T_cell_camera_shaft
 
     def gap_mm(self) -> float:
-        """True distance of the faces at the joint's centre along z, mm."""
-        return self.gap_at(0.0, 0.0)
+        """True mean distance of the faces along z, mm, >= 0."""
+        jack = self.motion["jack"].position(self.now)
+        if not self._reaches(jack):
+            dock = self.dock()
+            return self.bench.rotor_face_mm - float(dock.T_cell_shaft(dock.true_mm(np.array([jack])))[0, 2, 3])
+        return max(self.engagement.near(self.dock(), jack).gap_at(jack), 0.0)
 
     def gap_at(self, x_mm: float, y_mm: float) -> float:
-        """True distance of the faces along z at cell coordinates (x, y), mm."""
+        """True distance of the faces along z at cell coordinates (x, y), mm; touching faces align themselves."""
         pose = self.T_cell_shaft()
         normal, point = pose[:3, 2], pose[:3, 3]
-        height = point[2] - ((x_mm - point[0]) * normal[0] + (y_mm - point[1]) * normal[1]) / normal[2]
-        return max(self.bench.rotor_face_mm - float(height), 0.0)
+        mean = max(self.bench.rotor_face_mm - float(point[2]), 0.0)
+        rise = float((x_mm - point[0]) * normal[0] + (y_mm - point[1]) * normal[1]) / float(normal[2])
+        return max(mean + self.dock().faces().share_of_tilt(mean) * rise, 0.0)
+
+    # ------------------------------------------------------------ forces
+
+    def jack_force_n(self, time_s: Array) -> Array:
+        """Axial force (k,) on the jack's sensor at times (k,) under the motion that is now under way, newton.
+
+        m (g + a) + guide friction + contact; the shaft never pulls the sensor up.
+        """
+        jack = self.motion["jack"]
+        z, velocity = jack.positions(time_s), jack.velocities(time_s)
+        weight = self.shaft.mass_kg * (GRAVITY_MM_S2 + jack.accelerations(time_s)) * 1e-3
+        way = np.where(velocity == 0.0, jack.direction, np.sign(velocity))
+        constant, varying, phase = self.cell.guide_friction_n
+        friction = way * (constant + varying * np.sin(2.0 * math.pi * z / GUIDE_PITCH_MM + phase))
+        if not self._reaches(float(z.max())):
+            return np.asarray(weight + friction)
+        dock = self.dock()
+        still = float(z.max()) == float(z.min())
+        curve = self.engagement.near(dock, float(z[0])) if still else self.engagement.curve(dock)
+        swing = self.engagement.ring.at(time_s) if self.engagement.ring else 0.0
+        contact = np.where(way > 0.0, curve.force_n(z + swing, inwards=True), curve.force_n(z + swing, inwards=False))
+        return np.asarray(np.maximum(weight + contact, 0.0) + friction)
+
+    def closing_resistance_n(self) -> float:
+        """Axial force that closes the joint against press fit and tilt, newton."""
+        return closing_resistance_n(self.dock())
 
     # ------------------------------------------------------------ chuck
 

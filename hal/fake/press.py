@@ -13,15 +13,6 @@ from hal.fake.geometry import JointGeometry
 Array = NDArray[np.float64]
 
 
-def interference_mm(geometry: JointGeometry, at_20_c_mm: float, shaft_c: float, rotor_c: float) -> float:
-    """Present diametral interference: interference_20C - alpha D (T_outer - T_inner), the outer member being heated.
-
-    Negative when the fit is open.
-    """
-    outer_c, inner_c = (shaft_c, rotor_c) if geometry.heated_member == "shaft" else (rotor_c, shaft_c)
-    return at_20_c_mm - geometry.expansion_per_k * geometry.spigot_diameter_mm * (outer_c - inner_c)
-
-
 def press_pressure_n_per_mm2(geometry: JointGeometry, interference: float, modulus_n_per_mm2: float) -> float:
     """Contact pressure of two rings of one material (Lame): the flange outside, the hollow spigot inside.
 
