@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from cellctl.file_faults import parsed, read_toml
 from cellctl.vision.part import Part, Thread
 from hal.errors import ConfigError
 from hal.units import (
@@ -34,6 +34,9 @@ from hal.units import (
     Seconds,
     Watt,
 )
+
+Size = Annotated[Mm, Field(gt=0, le=5000)]
+"""A length on a part."""
 
 
 class Section(BaseModel):
@@ -58,6 +61,14 @@ class Pattern(Section):
     angles_deg: Literal["equal"] | tuple[Deg, ...] = "equal"
     index_feature: int | None = Field(default=None, ge=0)
 
+    @model_validator(mode="after")
+    def _whole(self) -> Pattern:
+        if len(self.angles()) != self.count:
+            raise ValueError(f"angles_deg has {len(self.angles())} entries, count is {self.count}")
+        if self.index_feature is not None and self.index_feature >= self.count:
+            raise ValueError(f"index_feature must be below {self.count}")
+        return self
+
     def angles(self) -> tuple[float, ...]:
         """Nominal angles of the features in degrees, right-handed about the outward normal of the shaft's face."""
         if self.angles_deg == "equal":
@@ -78,42 +89,42 @@ class PartSpec(Section):
     """`[shaft]` or `[rotor]`: one side of the joint. Sizes that are not given are estimated or not used."""
 
     feature: Literal["hole", "stud"]
-    diameter_mm: Mm | tuple[Mm, ...] | None = None
-    chamfer_diameter_mm: Mm | None = None
-    chamfer_angle_deg: Deg | None = None
-    depth_mm: Mm | None = None
-    length_mm: Mm | None = None
+    diameter_mm: Size | tuple[Size, ...] | None = None
+    chamfer_diameter_mm: Size | None = None
+    chamfer_angle_deg: Deg | None = Field(default=None, gt=0, lt=90)
+    depth_mm: Size | None = None
+    length_mm: Size | None = None
     thread: ThreadSpec | None = None
-    face_inner_diameter_mm: Mm | None = None
-    face_outer_diameter_mm: Mm | None = None
+    face_inner_diameter_mm: Size | None = None
+    face_outer_diameter_mm: Size | None = None
     ledge_step_mm: Mm | None = None
-    flatness_limit_mm: Mm | None = None
-    spigot_diameter_mm: Mm | None = None
+    flatness_limit_mm: Size | None = None
+    spigot_diameter_mm: Size | None = None
 
 
 class Scan(Section):
     """`[scan]`: quality gates of a scan."""
 
-    distance_low_mm: Mm = 300.0
-    distance_high_mm: Mm = 400.0
+    distance_low_mm: Mm = Field(default=300.0, gt=0)
+    distance_high_mm: Mm = Field(default=400.0, gt=0)
     min_coverage: Fraction = Field(default=0.6, ge=0, le=1)
     min_points_per_feature: int = Field(default=60, ge=4)
     max_retakes: int = Field(default=2, ge=0, le=10)
     outlier_removal: Literal["none", "one_sided", "two_sided"] = "none"
-    artefact_gate_mm: Mm = 0.06
+    artefact_gate_mm: Mm = Field(default=0.06, gt=0)
 
 
 class Align(Section):
     """`[align]`: gates and bounded tries of the closed loop."""
 
-    gate_xy_mm: Mm = 0.05
-    gate_theta_deg: Deg = 0.03
-    gate_tilt_deg: Deg = 0.1
+    gate_xy_mm: Mm = Field(default=0.05, gt=0)
+    gate_theta_deg: Deg = Field(default=0.03, gt=0)
+    gate_tilt_deg: Deg = Field(default=0.1, gt=0)
     motion_gate_mm: Mm = Field(default=0.3, gt=0)
     coverage_factor: Fraction = Field(default=2.0, gt=0)
     min_p_insert: Fraction = Field(default=0.99, ge=0, le=1)
     max_loops: int = Field(default=3, ge=1, le=10)
-    expires_s: Seconds = 900.0
+    expires_s: Seconds = Field(default=900.0, gt=0)
     stand_off_mm: Mm = Field(default=3.0, gt=0)
 
 
@@ -172,20 +183,28 @@ class Stage(Section):
     name: str
     torque_nm: NewtonMetre = Field(gt=0)
     torque_tolerance: Fraction = Field(default=0.05, gt=0, lt=1)
-    angle_low_deg: Deg = 0.0
-    angle_high_deg: Deg = 720.0
+    angle_low_deg: Deg = Field(default=0.0, ge=0)
+    angle_high_deg: Deg = Field(default=720.0, gt=0)
     speed_rpm: Rpm = Field(default=20.0, gt=0)
     cold: bool = False
 
 
 class Engage(Section):
-    """Socket engagement: slow feed, slow turn, force window."""
+    """Socket engagement: slow feed, slow turn, force window. Feeds are positions of the gun feed axis."""
 
     feed_speed_mm_s: MmPerSecond = Field(default=2.0, gt=0)
+    nut_from_mm: Mm = Field(default=86.0, gt=0)
+    nut_to_mm: Mm = Field(default=94.0, gt=0)
+    edge_mm: Mm = Field(default=101.5, gt=0)
+    engaged_mm: Mm = Field(default=107.0, gt=0)
+    feed_step_mm: Mm = Field(default=0.5, gt=0)
     force_low_n: Newton = 5.0
-    force_high_n: Newton = 60.0
+    force_high_n: Newton = 25.0
     turn_speed_rpm: Rpm = Field(default=5.0, gt=0)
-    turn_step_deg: Deg = Field(default=20.0, gt=0)
+    turn_step_deg: Deg = Field(default=70.0, gt=0)
+    turn_torque_nm: NewtonMetre = Field(default=2.0, gt=0)
+    reverse_deg: Deg = Field(default=360.0, gt=0)
+    start_turns_deg: Deg = Field(default=720.0, gt=0)
     max_tries: int = Field(default=3, ge=1, le=10)
 
 
@@ -204,6 +223,7 @@ class Tighten(Section):
     verify_angle_high_deg: Deg = Field(default=10.0, gt=0)
     drift_gate_deg: Deg = Field(default=0.02, gt=0)
     timeout_s: Seconds = Field(default=30.0, gt=0)
+    friction: Fraction = Field(default=0.14, gt=0, lt=1, description="of thread and nut face, expected")
 
 
 class Limits(Section):
@@ -215,6 +235,7 @@ class Limits(Section):
     shaft_mass_kg: Kilogram = Field(default=100.0, gt=0)
     axial_stiffness_n_per_mm: NewtonPerMm = Field(default=1350.0, gt=0)
     radial_clearance_mm: Mm = Field(default=0.15, gt=0)
+    position_sigma_mm: Mm = Field(default=0.01, ge=0, description="of a hole or stud on its part, one sigma")
 
 
 class Recipe(Section):
@@ -234,11 +255,6 @@ class Recipe(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Recipe:
         count = self.pattern.count
-        angles = self.pattern.angles()
-        if len(angles) != count:
-            raise ValueError(f"pattern.angles_deg has {len(angles)} entries, pattern.count is {count}")
-        if self.pattern.index_feature is not None and self.pattern.index_feature >= count:
-            raise ValueError(f"pattern.index_feature must be below {count}")
         if self.shaft is None and self.rotor is None:
             raise ValueError("one of [shaft] and [rotor] is needed")
         for name, part in (("shaft", self.shaft), ("rotor", self.rotor)):
@@ -279,17 +295,27 @@ class Recipe(Section):
 
 
 def parse_recipe(text: str, *, source: str = "recipe") -> Recipe:
-    """Recipe from TOML text. Raises ConfigError with the first wrong place; `all_faults` gives every one."""
+    """Recipe from TOML text. Raises ConfigError with the first wrong place; `recipe_faults` gives every one."""
+    recipe, faults = parsed(Recipe, _tuples(read_toml(text, source)), source)
+    if recipe is None:
+        raise faults[0]
+    return recipe
+
+
+def recipe_faults(text: str, *, source: str = "recipe") -> list[ConfigError]:
+    """Everything that is wrong with the shape and the values of a recipe, each with its place; empty where nothing is.
+
+    Physics is another question: see `cellctl.recipe_checks`.
+    """
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"not TOML: {error}", place=source) from None
-    try:
-        return Recipe.model_validate(_tuples(data))
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join([source, *(str(part) for part in first["loc"])])
-        raise ConfigError(first["msg"], place=place) from None
+        return parsed(Recipe, _tuples(read_toml(text, source)), source)[1]
+    except ConfigError as error:
+        return [error]
+
+
+def recipe_schema() -> str:
+    """JSON schema of a recipe, as it stands in recipes/recipe.schema.json."""
+    return json.dumps(Recipe.model_json_schema(), indent=2, sort_keys=True) + "\n"
 
 
 def load_recipe(path: Path) -> Recipe:

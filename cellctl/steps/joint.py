@@ -66,11 +66,12 @@ async def _one(
         used = key
         return await gun.tighten(key, program)
 
+    result: TighteningResult | None
     try:
-        result: TighteningResult | None = await run.ledger.act(
-            f"gun_{name}", "tighten", {"joint": index, "program": program}, command
-        )
+        result = await run.ledger.act(f"gun_{name}", "tighten", {"joint": index, "program": program}, command)
     except UnknownOutcome:
+        result = None
+    if result is None or result.key != used:  # lost, or an old result told again
         result = await run.ledger.act(f"gun_{name}", "result", {"key": used}, lambda key: gun.result(used))
     if result is None:
         return _unknown(name, index, program, tries)
