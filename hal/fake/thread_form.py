@@ -80,14 +80,18 @@ def normals(form: StudForm, x: Array, y: Array, z: Array, phase: Array) -> Array
 def first_hit(form: StudForm, origin: Array, ray: Array, start: Array, end: Array, phase: Array) -> Array:
     """Smallest t in [start, end] with r = R on `origin + t ray`, (n,); infinite where there is none.
 
-    `origin`, `ray` (n, 3); every ray is outside at `start`. The march steps P/12 along z, less than a crest is wide;
-    the sign change is then closed to rounding by the Illinois method.
+    `origin`, `ray` (n, 3); no ray is inside before `start`, where it meets the crest cylinder or passes the tip. A ray
+    that begins on a crest has hit it. The others march in steps of P/12 along z, less than a crest is wide; the sign
+    change is then closed to rounding by the Illinois method.
     """
     found = np.full(start.shape, np.inf)
     step = form.pitch_mm / 12.0 / np.abs(ray[:, 2])
     active = np.flatnonzero(start <= end)
     t = start[active]
     f = _along(form, origin, ray, phase, active, t)
+    on_crest = f <= 1e-9
+    found[active[on_crest]] = t[on_crest]
+    active, t, f = active[~on_crest], t[~on_crest], f[~on_crest]
     brackets: list[tuple[NDArray[np.intp], Array, Array, Array, Array]] = []
     while active.size:
         t_next = np.minimum(t + step[active], end[active])

@@ -172,10 +172,9 @@ def all_deviations(state: SceneState, view: str, points: Array) -> tuple[Array, 
     return table.min(axis=0), np.array(list(found))[table.argmin(axis=0)]
 
 
-def inside(part: PartShape, points: Array) -> NDArray[np.bool_]:
-    """Whether points (part frame) lie in the part's material by more than a micrometre."""
+def inside(part: PartShape, points: Array, tiny: float) -> NDArray[np.bool_]:
+    """Whether points (part frame) lie in the part's material by more than `tiny`."""
     r, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
-    tiny = 1e-3
     solid = np.zeros(len(points), dtype=np.bool_)
     for inner, outer, top in part.rings_mm:
         solid |= (r > inner + tiny) & (r < outer - tiny) & (z < top - tiny) & (z > -14.0)
