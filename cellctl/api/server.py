@@ -58,6 +58,15 @@ class _DeadlineProtocol(H11Protocol):
 class Server(uvicorn.Server):
     """One server; `stop` ends it, signals are the caller's."""
 
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.listening = asyncio.Event()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen; `listening` is set from then on."""
+        await super().startup(sockets)
+        self.listening.set()
+
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         """Signals stay with who owns the process."""
@@ -74,7 +83,7 @@ class Server(uvicorn.Server):
         return int(address[1])
 
 
-def make_server(app: FastAPI, sock: socket.socket | None, *, host: str, port: int, wall_s: float) -> Server:
+def make_server(app: FastAPI, *, host: str, port: int, wall_s: float) -> Server:
     """A server for `app`. `wall_s` is how many seconds of the loop's time one second of the wall lasts."""
     protocol = type("DeadlineProtocol", (_DeadlineProtocol,), {"header_limit_s": HEADER_LIMIT_S * wall_s})
     config = uvicorn.Config(

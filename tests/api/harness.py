@@ -89,16 +89,31 @@ class Api:
 
 
 @asynccontextmanager
-async def api(data: Path, *, role: str = "admin") -> AsyncIterator[Api]:
+async def api(data: Path, *, role: str = "admin", wall_s: float = 1.0) -> AsyncIterator[Api]:
     """The API, signed in as `role`; everything is ended afterwards."""
-    loop_stamps = VirtualStamps(1)
-    events = EventLog(loop_stamps.now)
+    services, cell, sessions = services_on(data, wall_s)
+    app = create_app(services)
+    token = TOKEN if role == "admin" else f"{role}.{TOKEN}"
+    headers = {"Authorization": f"Bearer {token}"} if role else {}
+    transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+    async with httpx.AsyncClient(transport=transport, base_url="http://cell", headers=headers) as client:
+        try:
+            yield Api(app, services, client, cell, sessions)
+        finally:
+            services.events.close()
+            await services.dry_runs.close()
+            await services.controller.shutdown()
+
+
+def services_on(data: Path, wall_s: float) -> tuple[Services, DoubleCell, list[StoredSession]]:
+    """Services on a small cell; the list holds every session that was opened."""
+    stamps = VirtualStamps(1)
+    events = EventLog(stamps.now)
     cell = DoubleCell()
     controller = Controller(cell, events, safe_deadline_s=0.5)
     store = RunStore(data)
     book = load_book(ROOT / "recipes")
     sessions: list[StoredSession] = []
-    metrics = Metrics(controller, events)
 
     def check(name: str, version: int) -> Recipe:
         recipe = book.get(name, version)
@@ -108,7 +123,7 @@ async def api(data: Path, *, role: str = "admin") -> AsyncIterator[Api]:
 
     def open_session(order: Order, recipe: Recipe) -> StoredSession:
         session = StoredSession(cell, five_phases, run_id=order.run_id, job_order_id=order.wanted.job_order_id)
-        session.store, session.stamps, session.order, session.recipe = store, loop_stamps, order, recipe
+        session.store, session.stamps, session.order, session.recipe = store, stamps, order, recipe
         sessions.append(session)
         return session
 
@@ -118,7 +133,7 @@ async def api(data: Path, *, role: str = "admin") -> AsyncIterator[Api]:
             raise RuntimeError("the twin was refused")
         return TwinOutcome("accepted", (), 2400.0, (("scan", 20.0),))
 
-    orders = OrderBook(data / "orders.jsonl", controller, events, loop_stamps, check=check, open_session=open_session)
+    orders = OrderBook(data / "orders.jsonl", controller, events, stamps, check=check, open_session=open_session)
     services = Services(
         cell_name="small-cell",
         simulated=True,
@@ -127,23 +142,14 @@ async def api(data: Path, *, role: str = "admin") -> AsyncIterator[Api]:
         events=events,
         recipes=book,
         runs=store,
-        dry_runs=DryRuns(on_twin, loop_stamps),
+        dry_runs=DryRuns(on_twin, stamps),
         auth=DemoAuth(TOKEN),
-        metrics=metrics,
+        metrics=Metrics(controller, events),
         not_ready=lambda: "",
         time_left_s=lambda snapshot: None,
+        wall_s=wall_s,
     )
-    app = create_app(services)
-    token = TOKEN if role == "admin" else f"{role}.{TOKEN}"
-    headers = {"Authorization": f"Bearer {token}"} if role else {}
-    transport = httpx.ASGITransport(app, raise_app_exceptions=False)
-    async with httpx.AsyncClient(transport=transport, base_url="http://cell", headers=headers) as client:
-        try:
-            yield Api(app, services, client, cell, sessions)
-        finally:
-            events.close()
-            await services.dry_runs.close()
-            await controller.shutdown()
+    return services, cell, sessions
 
 
 def run_api(data: Path, body: Callable[[Api], Awaitable[None]], *, role: str = "admin") -> None:
