@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -29,8 +29,10 @@ MAX_TOTAL_BYTES = 8 << 30
 MAX_RATIO = 1200
 """Deflate packs no better than 1032 to 1; a member that claims more is a bomb or a lie."""
 
-UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, KeyError, TypeError, AttributeError)
-"""What zipfile and values of unexpected types raise: nothing that the cell has sealed."""
+UNREADABLE = (
+    zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, AttributeError
+)  # fmt: skip
+"""What zipfile and values of unexpected types raise (OSError: a seek to before the file): nothing the cell sealed."""
 
 NEEDED = ("manifest.json", "manifest.sig", "cell.pub", "journal.jsonl", "report.html")
 MANIFEST_KEYS = {"format", "run_id", "sealed_at", "rows", "head", "keep", "scans_not_kept", "files"}
@@ -57,8 +59,13 @@ def verify(path: Path, key: Ed25519PublicKey | None = None) -> Verification:
 
     Raises OSError where the file itself cannot be opened. Blocking.
     """
+    with path.open("rb") as file:
+        return _verified_file(file, key)
+
+
+def _verified_file(file: BinaryIO, key: Ed25519PublicKey | None) -> Verification:
     try:
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+        with zipfile.ZipFile(file) as archive:
             return _verified(archive, key)
     except RecordCorrupt as corrupt:
         return Verification("rejected", (corrupt.reason,))
@@ -178,3 +185,21 @@ def _check_blobs(
     for name in sorted(stored):
         if f"blobs/{content_hash(unpacked(read(name)))}.npz" != name:
             raise RecordCorrupt(f"{name} does not hold what its name says")
+
+
+def read_record(path: Path) -> tuple[tuple[Row, ...], Callable[[str], dict[str, Any]]]:
+    """Rows of a sealed record that is whole, and a reader of its blobs by hash. Raises RecordCorrupt, OSError."""
+    result = verify(path)
+    if not result.ok:
+        raise RecordCorrupt(result.reasons[0])
+    with zipfile.ZipFile(path) as archive:
+        rows = _rows(archive.read("journal.jsonl"))
+
+    def blob(digest: str) -> dict[str, Any]:
+        with zipfile.ZipFile(path) as archive:
+            name = f"blobs/{digest}.npz"
+            if name not in archive.namelist():
+                raise RecordCorrupt(f"{name} is not kept in the record")
+            return dict(unpacked(archive.read(name)))
+
+    return rows, blob

@@ -1,0 +1,54 @@
+"""Can the studs enter below the force limit? Trip force, contact speed, alignment gates."""
+
+from __future__ import annotations
+
+import math
+
+from cellctl.checks.finding import Finding
+from cellctl.checks.heating import growth_mm
+from cellctl.recipe import Recipe
+from hal.config import CellConfig, Delays
+
+USABLE_SHARE = 0.1
+"""A trip below a tenth of the force limit trips on noise and guide friction before it trips on contact."""
+
+
+def trip_force_n(recipe: Recipe, delays: Delays, mass_kg: float, *, deceleration_mm_s2: float | None = None) -> float:
+    """Net force at which the guard must trip so that the force stays below the recipe's limit, overshoot included.
+
+    F_trip = F_limit - k v (t_sensor + t_guard + t_bus + t_drive) - max(k v^2 / 2a, v sqrt(k m)) - u_tare - 4 sigma,
+    with k the axial stiffness, v the contact speed, m the moving mass, a the drive's deceleration. May be negative:
+    then no trip is early enough.
+    """
+    stiffness, speed = recipe.limits.axial_stiffness_n_per_mm, recipe.jack_up.contact_speed_mm_s
+    delay_s = delays.sensor_s + delays.guard_s + delays.bus_s + delays.drive_s
+    during_delay = stiffness * speed * delay_s
+    carried = 1e-3 * speed * math.sqrt(1e3 * stiffness * mass_kg)
+    braking = stiffness * speed**2 / (2.0 * deceleration_mm_s2) if deceleration_mm_s2 else 0.0
+    margin = delays.tare_n + 4.0 * delays.noise_n
+    return recipe.jack_up.force_limit_n - during_delay - max(braking, carried) - margin
+
+
+def contact_speed_findings(recipe: Recipe, cell: CellConfig | None) -> list[Finding]:
+    """The contact speed must leave a trip force that can be told from noise."""
+    delays = cell.guard if cell else Delays()
+    mass = cell.cell.moving_mass_kg if cell else recipe.limits.shaft_mass_kg
+    deceleration = cell.devices.jack.max_acceleration if cell else None
+    trip = trip_force_n(recipe, delays, mass, deceleration_mm_s2=deceleration)
+    usable = max(USABLE_SHARE * recipe.jack_up.force_limit_n, delays.tare_n + 4.0 * delays.noise_n)
+    if trip >= usable:
+        return []
+    text = f"{recipe.jack_up.contact_speed_mm_s} mm/s leaves a trip force of {trip:.2f} N"
+    return [Finding("contact_speed", "jack_up.contact_speed_mm_s", text, f">= {usable:.2f}", "N")]
+
+
+def gate_findings(recipe: Recipe) -> list[Finding]:
+    """A pose at the edge of the gates, at docking temperature, must still leave every stud free."""
+    gates, clearance = recipe.align, recipe.limits.radial_clearance_mm
+    along = gates.gate_xy_mm + growth_mm(recipe, recipe.heat.difference_k)
+    across = 0.5 * recipe.pattern.circle_diameter_mm * math.radians(gates.gate_theta_deg)
+    offset = math.hypot(along, across)
+    if offset < clearance:
+        return []
+    text = f"a pose at the edge of the gates puts a stud {offset:.3f} mm off"
+    return [Finding("align_gate", "align.gate_xy_mm", text, f"< {clearance}", "mm")]
