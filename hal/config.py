@@ -22,13 +22,14 @@ class _Section(BaseModel):
 
 
 class AxisEntry(_Section):
-    """One axis. Travel in its unit (mm or deg), speed per second."""
+    """One axis. Travel in its unit (mm or deg), speed per second; a motion has arrived within `in_position`."""
 
     kind: Literal["fake"]
     low: float
     high: float
     max_speed: float = Field(gt=0)
     max_acceleration: float = Field(gt=0)
+    in_position: float = Field(default=0.02, gt=0)
 
     @model_validator(mode="after")
     def _ordered(self) -> AxisEntry:
@@ -89,13 +90,17 @@ class Devices(_Section):
 
 
 class Delays(_Section):
-    """`[guard]`: the chain of delays from a force to a standing jack, and the age at which samples are stale."""
+    """`[guard]`: the chain of delays from a force to a standing jack, and what the guard takes for a dead sensor.
+
+    Samples older than `stale_ms` are stale; `frozen_samples` equal ones in a row are frozen (0: never).
+    """
 
     stale_ms: float = Field(default=50.0, ge=5)
     sensor_s: Seconds = Field(default=0.002, ge=0)
     guard_s: Seconds = Field(default=0.002, ge=0)
     bus_s: Seconds = Field(default=0.001, ge=0)
     drive_s: Seconds = Field(default=0.004, ge=0)
+    frozen_samples: int = Field(default=200, ge=0)
     contact_block: int = Field(default=10, ge=1)
     idle_block: int = Field(default=500, ge=1)
     noise_n: float = Field(default=0.1, ge=0)

@@ -11,7 +11,7 @@ import contextlib
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import Any, Generic, Literal, TypeVar
 
-from hal.errors import CellError, DeviceError, DeviceRefused, SafetyOpen
+from hal.errors import CellError, DeviceError, DeviceFault, DeviceRefused, SafetyOpen
 from hal.interfaces import (
     Axis,
     AxisLimits,
@@ -135,6 +135,8 @@ async def _perform(
     finally:
         if not task.done():
             await _stop(device, task)
+    if not task.cancelled() and task.exception() is not None and isinstance(refused := await judge(), SafetyOpen):
+        raise refused from task.exception()  # the hard-wired circuit took the power: that is the cause
     return latch.result(device.name, task)
 
 
@@ -191,11 +193,12 @@ class _Delegate(Generic[D]):
 
 
 class PermittedAxis(_Delegate[Axis]):
-    """An axis that moves only while latch and motion rules let it."""
+    """An axis that moves only while latch and motion rules let it, and has arrived only where its encoder says so."""
 
-    def __init__(self, axis: AxisName, inner: Axis, permits: Permits) -> None:
+    def __init__(self, axis: AxisName, inner: Axis, permits: Permits, in_position: float) -> None:
         super().__init__(inner, permits)
         self._axis = axis
+        self._in_position = in_position
 
     @property
     def unit(self) -> Literal["mm", "deg"]:
@@ -212,7 +215,11 @@ class PermittedAxis(_Delegate[Axis]):
         return await self._motion("home", lambda: self._inner.home())
 
     async def move_to(self, position: float, *, speed: float) -> AxisState:
-        return await self._motion(position, lambda: self._inner.move_to(position, speed=speed))
+        state = await self._motion(position, lambda: self._inner.move_to(position, speed=speed))
+        if not abs(state.position - position) <= self._in_position:
+            reason = f"reports {position:g} {self.unit} reached, its encoder reads {state.position:g} {self.unit}"
+            raise DeviceFault(reason, device=self.name)
+        return state
 
     async def _motion(self, target: Target, command: Callable[[], Coroutine[Any, Any, AxisState]]) -> AxisState:
         permits = self._permits

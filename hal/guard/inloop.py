@@ -48,7 +48,8 @@ class InLoopGuard:
     """`hal.interfaces.ForceGuard`. `axes` are the bare axes, which it halts directly.
 
     `idle_block` is the number of samples that it reads in one go for a window while it is not armed, `idle_stale_s`
-    how long it then waits for a late block, `halt_deadline_s` the time that one axis is given to acknowledge its halt.
+    how long it then waits for a late block, `halt_deadline_s` the time that one axis is given to acknowledge its halt,
+    `frozen_samples` how many equal samples in a row no living sensor gives (0: any number).
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class InLoopGuard:
         idle_block: int,
         idle_stale_s: float,
         halt_deadline_s: float,
+        frozen_samples: int = 0,
     ) -> None:
         self._sensor = sensor
         self._axes = axes
@@ -67,7 +69,8 @@ class InLoopGuard:
         self._idle_block = idle_block
         self._idle_stale_s = idle_stale_s
         self._halt_deadline_s = halt_deadline_s
-        self._watch = Watch(_NO_LIMITS)
+        self._watch = Watch(_NO_LIMITS, frozen_samples)
+        self._idle = self._watch
         self._armed = False
         self._acting = False
         self._trip: Trip | None = None
@@ -98,7 +101,7 @@ class InLoopGuard:
             raise GuardTripped(f"latched: {self._trip.reason}", force_n=self._trip.force_n)
         if not (limits.low_n < limits.trip_n and math.isfinite(limits.tare_n) and limits.block >= 1):
             raise ImplausibleReading(f"limits that nothing can keep: {limits}", device=self._sensor.name)
-        self._watch = Watch(limits, next_sequence=self._watch.next_sequence)
+        self._watch = Watch(limits, self._watch.frozen_samples, self._watch.next_sequence)
         self._armed = True
         self._proven = asyncio.get_running_loop().create_future()
         self._start()
@@ -107,12 +110,12 @@ class InLoopGuard:
     async def disarm(self) -> GuardState:
         """Stop watching; returns once a trip's halts have been acknowledged or given up."""
         self._armed = False
-        await self._idle()
+        await self._settle()
         return self.state()
 
     async def rearm(self) -> None:
         """Clear the latch; motion may be asked for again."""
-        await self._idle()
+        await self._settle()
         self._trip = None
         self._latch.open("guard")
         if self._armed:
@@ -129,12 +132,12 @@ class InLoopGuard:
         finally:
             self._windows.remove(window)
             if not self._armed:
-                await self._idle()
+                await self._settle()
 
     async def close(self) -> None:
         """End reading; no task is left. The latch stays as it is."""
         self._armed = False
-        await self._idle()
+        await self._settle()
         for window in self._windows:
             if not window.done.done():
                 window.done.set_exception(ImplausibleReading("the guard was closed", device=self._sensor.name))
@@ -145,6 +148,7 @@ class InLoopGuard:
     def _start(self) -> None:
         if self._task is None or self._task.done():
             self._watch = replace(self._watch, next_sequence=None)
+            self._idle = Watch(_NO_LIMITS, self._watch.frozen_samples)
             self._task = asyncio.get_running_loop().create_task(self._read(), name="force guard")
             self._task.add_done_callback(self._go_on)
 
@@ -153,7 +157,7 @@ class InLoopGuard:
         if ended is self._task and self._trip is None and (self._armed or self._windows):
             self._start()
 
-    async def _idle(self) -> None:
+    async def _settle(self) -> None:
         """Wait until a trip was acted upon; end reading that nobody needs."""
         task = self._task
         if task is None or task.done():
@@ -198,8 +202,9 @@ class InLoopGuard:
         if self._armed:
             self._watch, trip = check(self._watch, block, now)
         else:
-            idle, trip = check(Watch(_NO_LIMITS, self._watch.next_sequence), block, now)
-            self._watch = replace(self._watch, next_sequence=idle.next_sequence)
+            idle = replace(self._idle, next_sequence=self._watch.next_sequence)
+            self._idle, trip = check(idle, block, now)
+            self._watch = replace(self._watch, next_sequence=self._idle.next_sequence)
         if trip is None:
             for window in self._windows:
                 window.take(block)

@@ -24,20 +24,25 @@ class Trip:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What the guard has seen since the last arm: net forces, newton; `next_sequence` is None before a first block."""
+    """What the guard has seen since the last arm: net forces, newton; `next_sequence` is None before a first block.
+
+    `equal` samples in a row up to the last one had the same value; `frozen_samples` of them trip (0: never).
+    """
 
     limits: GuardLimits
+    frozen_samples: int = 0
     next_sequence: int | None = None
     peak_n: float = 0.0
     last_n: float = 0.0
     samples: int = 0
+    equal: int = 0
 
 
 def check(watch: Watch, block: ForceBlock, now: float) -> tuple[Watch, Trip | None]:
     """The watch after `block`, looked at at loop time `now`, and the trip that it demands, if any.
 
     Trips, first one counts: no samples; samples missing in between; not a number; net force above `trip_n` or below
-    `low_n`; newest sample older than `stale_ms`, or from the future by more than one sample.
+    `low_n`; newest sample older than `stale_ms`, or from the future by more than one sample; a frozen signal.
     """
     limits, count = watch.limits, len(block.samples_n)
     if count == 0:
@@ -49,8 +54,9 @@ def check(watch: Watch, block: ForceBlock, now: float) -> tuple[Watch, Trip | No
         watch,
         next_sequence=block.sequence + count,
         peak_n=max(watch.peak_n, high_n) if high_n == high_n else watch.peak_n,
-        last_n=float(block.samples_n[-1]) - limits.tare_n,
+        last_n=high_n if low_n == high_n else float(block.samples_n[-1]) - limits.tare_n,
         samples=watch.samples + count,
+        equal=0 if low_n != high_n else count + (watch.equal if watch.last_n == high_n else 0),
     )
     if not (low_n >= limits.low_n and high_n <= limits.trip_n):
         return _seen_up_to(seen, watch, block), _force_trip(limits, block)
@@ -61,6 +67,8 @@ def check(watch: Watch, block: ForceBlock, now: float) -> tuple[Watch, Trip | No
         )
     if age_s < -block.period_s:
         return seen, Trip(f"{limits.label}: the newest sample is {-age_s * 1e3:.1f} ms in the future")
+    if 0 < seen.frozen_samples <= seen.equal:
+        return seen, Trip(f"{limits.label}: the signal is frozen at {seen.last_n:.2f} N for {seen.equal} samples")
     return seen, None
 
 

@@ -122,6 +122,7 @@ class SmallForce(SmallDevice):
         self.raw_n = raw_n
         self.script: dict[int, float] = {}
         self.silent = False
+        self.frozen = False
         self.skip = 0
         self.late_s = 0.0
         self.readers = 0
@@ -136,7 +137,12 @@ class SmallForce(SmallDevice):
                 await asyncio.sleep(1e6)
             start = asyncio.get_running_loop().time()
             first, self.skip = self.sequence + self.skip, 0
-            values = np.array([self.script.get(first + i, self.raw_n) for i in range(count)])
+            values = np.array(
+                [
+                    self.script.get(first + i, self.raw_n + (0.0 if self.frozen else 1e-3 * ((first + i) % 2)))
+                    for i in range(count)
+                ]
+            )
             out = ~((values >= low_n) & (values <= high_n))
             taken = int(np.argmax(out)) + 1 if out.any() else count
             await asyncio.sleep(taken / self.rate_hz)

@@ -37,7 +37,7 @@ class SmallCell:
         )
         axes: dict[AxisName, Axis] = {**self.axes}
         permits = Permits(axes, self.chuck, self.park, self.safety, self.guard, LIMITS, self.latch)
-        permitted: dict[str, Any] = {name: PermittedAxis(name, self.axes[name], permits) for name in NAMES}
+        permitted: dict[str, Any] = {name: PermittedAxis(name, self.axes[name], permits, 0.02) for name in NAMES}
         permitted["camera_park"] = PermittedCameraPark(self.park, permits)
         permitted["chuck"] = PermittedChuck(self.chuck, permits)
         self.cell = Cell(guard=self.guard, latch=self.latch, **cast(dict[str, Any], {**self.bare, **permitted}))

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hal.clock import run_virtual
-from hal.errors import DeviceRefused, GuardTripped, Interrupted, NotConnected, SafetyError, SafetyOpen
+from hal.errors import DeviceFault, DeviceRefused, GuardTripped, Interrupted, NotConnected, SafetyError, SafetyOpen
 from hal.guard.inloop import InLoopGuard
-from hal.interfaces import Axis, GuardLimits
+from hal.interfaces import Axis, AxisState, GuardLimits
 from hal.latch import Latch
 from hal.permits import AxisName, PermitLimits
 from hal.permitted import READ_DEADLINE_S, WATCH_S, Permits, PermittedAxis, PermittedCameraPark, PermittedChuck
@@ -36,7 +36,7 @@ class Bench:
         )
         axes: dict[AxisName, Axis] = {**self.bare}
         permits = Permits(axes, self.chuck, self.park, self.safety, self.guard, LIMITS, self.latch)
-        self.axes = {name: PermittedAxis(name, self.bare[name], permits) for name in NAMES}
+        self.axes = {name: PermittedAxis(name, self.bare[name], permits, 0.02) for name in NAMES}
         self.camera = PermittedCameraPark(self.park, permits)
         self.clamp = PermittedChuck(self.chuck, permits)
 
@@ -124,6 +124,38 @@ def test_an_abandoned_motion_of_a_hung_axis_still_ends() -> None:
             async with asyncio.timeout(1.0):
                 await bench.axes["gun_feed"].home()
         assert asyncio.get_running_loop().time() < 2.0
+
+    run(main())
+
+
+def test_a_target_that_the_encoder_does_not_confirm_is_a_fault() -> None:
+    async def main() -> None:
+        bench = Bench()
+        bare = bench.bare["gun_table"]
+
+        async def stale(position: float, *, speed: float) -> AxisState:
+            return bare.state
+
+        bare.move_to = stale  # type: ignore[method-assign]
+        with pytest.raises(DeviceFault, match="reports 90 mm reached, its encoder reads 0 mm"):
+            await bench.axes["gun_table"].move_to(90.0, speed=10.0)
+
+    run(main())
+
+
+def test_a_drive_that_lost_its_power_to_the_safety_circuit_is_a_safety_matter() -> None:
+    async def main() -> None:
+        bench = Bench()
+        bare = bench.bare["jack"]
+
+        async def cut(position: float, *, speed: float) -> AxisState:
+            await asyncio.sleep(0.05)
+            bench.safety.state = replace(GOOD_SAFETY, sto_released=False)
+            raise DeviceFault("torque off", device="jack")
+
+        bare.move_to = cut  # type: ignore[method-assign]
+        with pytest.raises(SafetyOpen, match="safe torque off open"):
+            await bench.axes["jack"].move_to(-10.0, speed=10.0)
 
     run(main())
 

@@ -27,7 +27,13 @@ class Bench:
         self.axes = [SmallAxis("jack"), SmallAxis("gun_feed")]
         self.latch = Latch()
         self.guard = InLoopGuard(
-            self.sensor, self.axes, self.latch, idle_block=500, idle_stale_s=0.05, halt_deadline_s=0.1
+            self.sensor,
+            self.axes,
+            self.latch,
+            idle_block=500,
+            idle_stale_s=0.05,
+            halt_deadline_s=0.1,
+            frozen_samples=200,
         )
 
     @property
@@ -123,7 +129,7 @@ def test_a_sensor_that_dies_latches_in_time() -> None:
     run(main())
 
 
-@pytest.mark.parametrize("fault", ["gone", "gap", "stale", "broken"])
+@pytest.mark.parametrize("fault", ["gone", "gap", "stale", "frozen", "broken"])
 def test_whatever_is_wrong_with_the_stream_latches(fault: str) -> None:
     async def main() -> None:
         bench = Bench()
@@ -133,6 +139,8 @@ def test_whatever_is_wrong_with_the_stream_latches(fault: str) -> None:
                 bench.sensor.error = NotConnected("cable", device="jack_force")
             case "gap":
                 bench.sensor.skip = 3
+            case "frozen":
+                bench.sensor.frozen = True
             case "stale":
                 bench.sensor.late_s = 0.2
             case _:
@@ -170,6 +178,17 @@ def test_arming_during_an_idle_window_keeps_the_window_whole() -> None:
         assert len((await window).samples_n) == 800
         state = await bench.guard.disarm()
         assert not state.tripped
+
+    run(main())
+
+
+def test_a_frozen_sensor_is_noticed_in_an_idle_window_too() -> None:
+    async def main() -> None:
+        bench = Bench()
+        bench.sensor.frozen = True
+        with pytest.raises(GuardTripped, match="frozen"):
+            await bench.guard.window(1.0)
+        assert bench.latch.closed
 
     run(main())
 

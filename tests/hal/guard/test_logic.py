@@ -66,6 +66,24 @@ def test_the_newest_sample_must_be_fresh(now: float, trips: bool) -> None:
     assert (trip is not None) == trips
 
 
+def test_a_frozen_signal_trips_and_a_steady_one_with_noise_does_not() -> None:
+    watch = Watch(LIMITS, frozen_samples=6)
+    for sequence, net in ((0, [1.0, 2.0, 2.0, 2.0]), (4, [2.0, 2.0, 2.0]), (7, [2.0, 2.0])):
+        watch, trip = check(watch, block(net, sequence=sequence), 0.004)
+        assert trip is None
+    assert watch.equal == 5
+    _, trip = check(watch, block([2.0], sequence=9), 0.004)
+    assert trip is not None
+    assert "frozen at 2.00 N for 6 samples" in trip.reason
+    moved, trip = check(watch, block([2.0, 2.001], sequence=9), 0.004)
+    assert trip is None
+    assert moved.equal == 0
+    other, trip = check(watch, block([1.0, 1.0], sequence=9), 0.004)
+    assert trip is None
+    assert other.equal == 2
+    assert check(Watch(LIMITS), block([0.0] * 1000), 1.0)[1] is None
+
+
 def test_a_time_that_is_not_a_number_trips() -> None:
     assert check(Watch(LIMITS), block([0.0], time_s=math.nan), 0.0)[1] is not None
 

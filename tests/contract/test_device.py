@@ -1,0 +1,113 @@
+"""What every device of the cell must do, whatever its kind."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from hal.errors import DeviceTimeout, NotConnected
+from hal.fake.faults import EXCHANGE_DEADLINE_S, Fault
+from tests.contract.backends import Backend, run
+from tests.contract.fakes import DEVICES
+
+EVERY = pytest.mark.parametrize("name", DEVICES)
+COMMANDS = ("halt", "safe", "rearm")
+
+
+@EVERY
+def test_it_says_who_it_is(backend: Backend, name: str) -> None:
+    async def main() -> None:
+        async with backend.bench(name, connect=False) as bench:
+            identity = await bench.device.connect()
+            assert bench.device.name == name
+            assert identity.simulated
+            assert all((identity.vendor, identity.model, identity.serial, identity.firmware))
+            assert await bench.device.connect() == identity
+
+    run(main())
+
+
+@EVERY
+def test_at_rest_it_halts_is_safe_and_rearms(backend: Backend, name: str) -> None:
+    async def main() -> None:
+        async with backend.bench(name) as bench:
+            await bench.device.halt()
+            await bench.device.halt()
+            state = await bench.device.safe()
+            assert state.safe
+            assert state.detail
+            await bench.device.rearm()
+            assert (await bench.device.safe()).safe
+
+    run(main())
+
+
+@EVERY
+@pytest.mark.parametrize("command", COMMANDS)
+def test_gone_it_fails_at_once(backend: Backend, name: str, command: str) -> None:
+    async def main() -> None:
+        async with backend.bench(name, Fault(name, "gone", at_s=1.0)) as bench:
+            await asyncio.sleep(1.0)
+            with pytest.raises(NotConnected, match=name):
+                await getattr(bench.device, command)()
+            assert asyncio.get_running_loop().time() == pytest.approx(1.0, abs=0.1)
+
+    run(main())
+
+
+@EVERY
+@pytest.mark.parametrize("command", COMMANDS)
+def test_hung_it_misses_its_own_deadline_and_can_be_given_up(backend: Backend, name: str, command: str) -> None:
+    async def main() -> None:
+        async with backend.bench(name, Fault(name, "hung", at_s=1.0)) as bench:
+            await asyncio.sleep(1.0)
+            loop = asyncio.get_running_loop()
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(0.1):
+                    await getattr(bench.device, command)()
+            assert loop.time() == pytest.approx(1.1)
+            with pytest.raises(DeviceTimeout, match=name):
+                await getattr(bench.device, command)()
+            assert loop.time() <= 1.1 + 2 * EXCHANGE_DEADLINE_S
+
+    run(main())
+
+
+@EVERY
+def test_back_from_hanging_it_answers(backend: Backend, name: str) -> None:
+    async def main() -> None:
+        async with backend.bench(name, Fault(name, "hung", at_s=1.0, duration_s=0.5)) as bench:
+            await asyncio.sleep(1.2)
+            assert (await bench.device.safe()).safe
+            assert asyncio.get_running_loop().time() == pytest.approx(1.5, abs=0.1)
+
+    run(main())
+
+
+@EVERY
+@pytest.mark.parametrize("kind", ["gone", "hung"])
+def test_it_does_not_connect_where_nothing_answers_and_always_closes(backend: Backend, name: str, kind: str) -> None:
+    async def main() -> None:
+        async with backend.bench(name, Fault(name, kind, duration_s=60.0), connect=False) as bench:
+            with pytest.raises((NotConnected, DeviceTimeout)):
+                await bench.device.connect()
+            await bench.device.close()
+            await bench.device.close()
+            await asyncio.sleep(60.0)
+            await bench.device.connect()
+            assert (await bench.device.safe()).safe
+
+    run(main())
+
+
+@EVERY
+def test_slow_answers_within_the_deadline_are_still_answers(backend: Backend, name: str) -> None:
+    async def main() -> None:
+        late_s = 0.5 * EXCHANGE_DEADLINE_S
+        async with backend.bench(name, Fault(name, "late", value=late_s, at_s=1.0)) as bench:
+            await asyncio.sleep(1.0)
+            await bench.device.halt()
+            assert asyncio.get_running_loop().time() == pytest.approx(1.0 + late_s, abs=0.1)
+
+    run(main())
