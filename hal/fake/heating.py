@@ -7,92 +7,40 @@ import math
 
 import numpy as np
 
-from hal.errors import ConfigError, DeviceRefused, NotConnected, SafetyOpen
+from hal.errors import ConfigError, DeviceRefused, SafetyOpen
 from hal.fake.faults import FaultBook
 from hal.fake.heater_control import HeaterControl
+from hal.fake.io import IoDevice
 from hal.fake.plant import Plant
 from hal.fake.thermal import pyrometer_c
 from hal.fake.thermal_state import Thermal, drawn_imperfections, drawn_properties
 from hal.interfaces import HeaterState, Identity, Reading, SafeState
 
-EXCHANGE_S = 0.01
-"""One request and its answer on the wire."""
 SITES = {"spigot_tc_1": 0, "spigot_tc_2": 1, "rotor_tc": 2}
 
 
-class _Link:
-    """What heater and thermometers share: a name, a plant, a link that is up or down."""
-
-    def __init__(self, name: str, plant: Plant, faults: FaultBook, model: str) -> None:
-        self._name = name
-        self._plant = plant
-        self._faults = faults
-        self._model = model
-        self._connected = False
-
-    async def _exchange(self, command: str) -> float:
-        """One request and answer; returns the loop time with the plant advanced to it."""
-        if not self._connected:
-            raise NotConnected(f"not connected ({command})", device=self._name)
-        await self._faults.gate(self._name, command)
-        await asyncio.sleep(EXCHANGE_S)
-        now = asyncio.get_running_loop().time()
-        self._plant.advance(now)
-        return now
-
-    async def _identify(self) -> Identity:
-        await self._faults.gate(self._name, "connect")
-        self._connected = True
-        return Identity("cellctl", self._model, f"{self._name}-1", "1.0", simulated=True)
-
-    @property
-    def name(self) -> str:
-        """Name in the cell file."""
-        return self._name
-
-
-class FakeThermometer(_Link):
+class FakeThermometer(IoDevice):
     """`spigot_tc_1`, `spigot_tc_2`, `rotor_tc` (contact thermocouples) or `pyrometer`. Implements `Thermometer`."""
 
     def __init__(self, name: str, plant: Plant, faults: FaultBook) -> None:
         """Raises ConfigError for a name that has no place on the joint."""
-        super().__init__(name, plant, faults, "pyrometer" if name == "pyrometer" else "thermocouple")
+        super().__init__(name, plant, faults)
+        self.model = "pyrometer" if name == "pyrometer" else "thermocouple"
         if name != "pyrometer" and name not in SITES:
             raise ConfigError("has no place on the joint", place=f"devices.{name}")
         self._rng: np.random.Generator = plant.rng(name, "noise")
 
-    async def connect(self) -> Identity:
-        """Prove the sensor's identity."""
-        return await self._identify()
-
-    async def close(self) -> None:
-        """Drop the link."""
-        self._connected = False
-
-    async def halt(self) -> None:
-        """A sensor does nothing that could be stopped; the exchange proves that it is there."""
-        await self._exchange("halt")
-
-    async def safe(self) -> SafeState:
-        """A sensor is always safe once it answers."""
-        await self._exchange("safe")
-        return SafeState(True, "a sensor only")
-
-    async def rearm(self) -> None:
-        """Nothing is set."""
-        await self._exchange("rearm")
-
     async def read(self) -> Reading:
         """Temperature in degrees Celsius."""
         now = await self._exchange("read")
-        return self._faults.reading(self._name, self._seen_c(now), now)
+        return self._faults.reading(self.name, self._seen_c(now), now)
 
     def _seen_c(self, now: float) -> float:
         thermal = thermal_of(self._plant)
         sensors = thermal.imperfections
-        if self._name != "pyrometer":
-            return thermal.thermocouple_c(SITES[self._name]) + sensors.thermocouple_noise_k * self._noise()
-        wrong = self._faults.active(self._name, "wrong_emissivity", now)
+        if self.name != "pyrometer":
+            return thermal.thermocouple_c(SITES[self.name]) + sensors.thermocouple_noise_k * self._noise()
+        wrong = self._faults.active(self.name, "wrong_emissivity", now)
         emissivity = sensors.emissivity * (wrong.number if wrong else 1.0)
         ambient_c = thermal.properties.ambient_c
         shown = pyrometer_c(thermal.spigot_c, ambient_c, emissivity, sensors.set_emissivity)
@@ -102,11 +50,13 @@ class FakeThermometer(_Link):
         return float(self._rng.standard_normal())
 
 
-class FakeHeater(_Link):
+class FakeHeater(IoDevice):
     """Link to the plant's heater controller. Implements `Heater`."""
 
+    model = "heater controller"
+
     def __init__(self, name: str, plant: Plant, faults: FaultBook, max_power_w: float) -> None:
-        super().__init__(name, plant, faults, "heater controller")
+        super().__init__(name, plant, faults)
         self._max_power_w = max_power_w
 
     @property
@@ -116,7 +66,7 @@ class FakeHeater(_Link):
 
     async def connect(self) -> Identity:
         """Prove the controller's identity; it watches this link from now on."""
-        identity = await self._identify()
+        identity = await super().connect()
         control = self._control()
         control.faults = self._faults
         control.stage_w = self._max_power_w
@@ -133,7 +83,7 @@ class FakeHeater(_Link):
         """Open the contactor, read back."""
         state = await self.off()
         if state.on:
-            raise DeviceRefused("the contactor does not open", device=self._name)
+            raise DeviceRefused("the contactor does not open", device=self.name)
 
     async def safe(self) -> SafeState:
         """Safe with the contactor open and no power asked."""
@@ -148,7 +98,7 @@ class FakeHeater(_Link):
         now = await self._exchange("rearm")
         control = self._control()
         if cut := self._faults.power_cut(now):
-            raise SafetyOpen(f"no power ({cut})", device=self._name)
+            raise SafetyOpen(f"no power ({cut})", device=self.name)
         control.alarm = ""
         if not control.on:
             control.setpoint_c = thermal_of(self._plant).thermocouple_c(0)
@@ -163,17 +113,17 @@ class FakeHeater(_Link):
         now = await self._exchange("heat")
         control = self._control()
         if cut := self._faults.power_cut(now):
-            raise SafetyOpen(f"no power ({cut})", device=self._name)
+            raise SafetyOpen(f"no power ({cut})", device=self.name)
         if control.alarm:
-            raise DeviceRefused(f"alarm: {control.alarm}", device=self._name)
+            raise DeviceRefused(f"alarm: {control.alarm}", device=self.name)
         limit_c = control.settings.limit_switch_c
         if not setpoint_c < limit_c:
-            raise DeviceRefused(f"set-point {setpoint_c} C (limit {limit_c} C)", device=self._name)
+            raise DeviceRefused(f"set-point {setpoint_c} C (limit {limit_c} C)", device=self.name)
         if not 0.0 < max_power_w <= self._max_power_w:
-            raise DeviceRefused(f"power {max_power_w} W (limit {self._max_power_w} W)", device=self._name)
+            raise DeviceRefused(f"power {max_power_w} W (limit {self._max_power_w} W)", device=self.name)
         if not ramp_k_per_min > 0.0:
-            raise DeviceRefused(f"ramp {ramp_k_per_min} K/min", device=self._name)
-        if not self._faults.active(self._name, "setpoint_not_taken", now):
+            raise DeviceRefused(f"ramp {ramp_k_per_min} K/min", device=self.name)
+        if not self._faults.active(self.name, "setpoint_not_taken", now):
             self._settle(now)
             control.start(setpoint_c, ramp_k_per_min, max_power_w)
         return self._state(now)
@@ -191,7 +141,7 @@ class FakeHeater(_Link):
     def _control(self) -> HeaterControl:
         source = thermal_of(self._plant).source
         if not isinstance(source, HeaterControl):
-            raise ConfigError("the plant has no heater controller", place=f"devices.{self._name}")
+            raise ConfigError("the plant has no heater controller", place=f"devices.{self.name}")
         return source
 
     def _state(self, now: float) -> HeaterState:

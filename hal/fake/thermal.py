@@ -66,8 +66,10 @@ def at_rest(properties: ThermalProperties) -> Zones:
 
 
 def interference_mm(properties: ThermalProperties, zones: Zones) -> float:
-    """Present diametral interference: I_20 - alpha D (T_bore - T_male); the shaft has the bore. Negative: clearance."""
+    """Present diametral interference: I_20 - alpha D (T_bore - T_male); the heated member has the bore. Negative: open."""
     difference = zones.shaft_rim_c - zones.rotor_rim_c
+    if properties.heated == "rotor":
+        difference = -difference
     return properties.interference_mm - properties.expansion_per_k * properties.spigot_diameter_mm * difference
 
 
