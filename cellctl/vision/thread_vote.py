@@ -1,0 +1,137 @@
+"""Pitch, hand, starts and phase of threads by a vote of all points (eq. 12, 13, corrected). Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellctl.vision.part import Refused, Thread
+
+Array = NDArray[np.float64]
+
+CELL_MM = 0.02
+"""Cell of the height axis in the vote: a twentieth of the finest pitch voted for."""
+
+
+@dataclass(frozen=True, slots=True)
+class ThreadVote:
+    """Winner of the vote. `score` is its share of all the power (0 to 1), `rival` the other hand's best over it.
+
+    `phase_mm` (n,) is where the points of each stud crowd at angle 0, as a height within one pitch: the crest, or
+    beside it where only one flank is seen.
+    """
+
+    pitch_mm: float
+    hand: Literal["right", "left"]
+    starts: int
+    score: float
+    rival: float
+    phase_mm: Array
+
+
+def vote(
+    radius_mm: Array,
+    angle_rad: Array,
+    height_mm: Array,
+    stud: NDArray[np.intp],
+    count: int,
+    *,
+    pitch_low_mm: float = 0.4,
+    pitch_high_mm: float = 3.0,
+    max_starts: int = 3,
+) -> ThreadVote:
+    """Vote over pitch, phase, hand and starts with the height taken modulo the pitch.
+
+    A point of radius R = hypot(x, y) at angle theta = atan2(y, x) and height z (eq. 13; the paper's arctan(y/x) wraps
+    at 90 degrees) lies on a crest where z = lead theta / 2 pi + phase modulo the pitch. Points vote twice: by being
+    there at all, because a thread hides its own valleys, and by their radius above the stud's median. For every hand
+    and number of starts the votes are summed over the phase with a Fourier transform along z; studs of different
+    phase add their power.
+    """
+    cells = int(2 ** np.ceil(np.log2(max(64.0, 4.0 * (np.ptp(height_mm) + 1.0) / CELL_MM))))
+    bins = np.clip(((height_mm - height_mm.min()) / CELL_MM).astype(np.intp), 0, cells - 1)
+    frequency = np.arange(cells // 2) / (cells * CELL_MM)
+    band = np.flatnonzero((frequency >= 1.0 / pitch_high_mm) & (frequency <= 1.0 / pitch_low_mm))
+    places = stud * cells + bins
+    voices = (_presence(stud, count), _radii(radius_mm, stud, count))
+    powers: dict[int, Array] = {}
+    for turns in [k for k in range(-max_starts, max_starts + 1) if k]:
+        wave = np.exp(1j * turns * angle_rad)
+        powers[turns] = np.zeros(len(band))
+        for voice in voices:
+            real = np.bincount(places, voice * wave.real, count * cells).reshape(count, cells)
+            imag = np.bincount(places, voice * wave.imag, count * cells).reshape(count, cells)
+            powers[turns] += np.sum(np.abs(np.fft.fft(real + 1j * imag, axis=1)[:, band]) ** 2, axis=0)
+    tallest = max(powers, key=lambda turns: (float(powers[turns].max()), turns))
+    turns, at = _fundamental(powers, tallest, band)
+    power = max(float(powers[turns][at]), 1e-300)
+    rivals = max(float(other.max()) for key, other in powers.items() if key * turns < 0)
+    pitch = 1.0 / _peak(frequency[band], powers[turns], at)
+    argument = height_mm * (2.0 * np.pi / pitch) - turns * angle_rad
+    crowd = voices[0] + voices[1]
+    sums = np.bincount(stud, crowd * np.cos(argument), count) + 1j * np.bincount(stud, crowd * np.sin(argument), count)
+    return ThreadVote(
+        pitch_mm=pitch,
+        hand="right" if turns > 0 else "left",
+        starts=abs(turns),
+        score=power / (2.0 * len(stud)),
+        rival=rivals / power,
+        phase_mm=np.angle(sums) / (2.0 * np.pi) * pitch,
+    )
+
+
+def check_vote(ballot: ThreadVote, expected: Thread) -> None:
+    """Refuse (thread_wrong) another thread than the expected one, or none at all."""
+    if ballot.score < 0.05:
+        raise Refused("thread_wrong", f"no thread shows on the studs (vote {ballot.score:.3f})")
+    same = ballot.hand == expected.hand and ballot.starts == expected.starts
+    if not same or abs(ballot.pitch_mm - expected.pitch_mm) > 0.03 * expected.pitch_mm:
+        raise Refused(
+            "thread_wrong",
+            f"{ballot.hand}-hand thread of pitch {ballot.pitch_mm:.2f} mm, {ballot.starts} start(s); the recipe says "
+            f"{expected.hand}-hand, {expected.pitch_mm:g} mm, {expected.starts} start(s)",
+        )
+
+
+def _fundamental(powers: dict[int, Array], turns: int, band: NDArray[np.intp]) -> tuple[int, int]:
+    """Turns and place in the band of the thread itself: the overtones of a single start look like more starts."""
+    at = int(powers[turns].argmax())
+    for part in range(abs(turns), 1, -1):
+        if turns % part:
+            continue
+        low = int(np.searchsorted(band, band[at] / part - 2.0))
+        window = powers[turns // part][low : low + 5]
+        if len(window) and window.max() > 0.15 * powers[turns][at]:
+            return turns // part, low + int(window.argmax())
+    return turns, at
+
+
+def _presence(stud: NDArray[np.intp], count: int) -> Array:
+    """One vote a point, of unit power for each stud's point."""
+    points = np.bincount(stud, minlength=count)
+    return np.asarray(1.0 / np.sqrt(np.maximum(points, 1.0)))[stud]
+
+
+def _radii(radius: Array, stud: NDArray[np.intp], count: int) -> Array:
+    """Radius above each stud's median, bounded so that no outlier shouts, of unit power for each stud's point."""
+    voice = np.zeros(len(radius))
+    for i in range(count):
+        mine = np.flatnonzero(stud == i)
+        if len(mine):
+            above = radius[mine] - np.median(radius[mine])
+            bound = 3.0 * 1.4826 * float(np.median(np.abs(above))) + 1e-9
+            above = np.clip(above, -bound, bound)
+            voice[mine] = above / (float(np.linalg.norm(above)) + 1e-12)
+    return voice
+
+
+def _peak(frequency: Array, power: Array, at: int) -> float:
+    """Frequency of the maximum by a parabola through its three cells."""
+    if not 0 < at < len(power) - 1:
+        return float(frequency[at])
+    a, b, c = power[at - 1 : at + 2]
+    shift = 0.5 * (a - c) / (a - 2 * b + c) if a - 2 * b + c < 0 else 0.0
+    return float(frequency[at] + shift * (frequency[1] - frequency[0]))
