@@ -198,8 +198,8 @@ class Engage(Section):
     edge_mm: Mm = Field(default=101.5, gt=0)
     engaged_mm: Mm = Field(default=107.0, gt=0)
     feed_step_mm: Mm = Field(default=0.5, gt=0)
-    force_low_n: Newton = 5.0
-    force_high_n: Newton = 25.0
+    force_low_n: Newton = Field(default=5.0, gt=0)
+    force_high_n: Newton = Field(default=25.0, gt=0)
     turn_speed_rpm: Rpm = Field(default=5.0, gt=0)
     turn_step_deg: Deg = Field(default=70.0, gt=0)
     turn_torque_nm: NewtonMetre = Field(default=2.0, gt=0)

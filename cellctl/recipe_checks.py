@@ -59,6 +59,9 @@ def limit_findings(recipe: Recipe) -> list[Finding]:
     pairs = [
         ("scan.distance_low_mm", scan.distance_low_mm, scan.distance_high_mm, "mm"),
         ("tighten.engage.force_low_n", engage.force_low_n, engage.force_high_n, "N"),
+        ("tighten.engage.nut_from_mm", engage.nut_from_mm, engage.nut_to_mm, "mm"),
+        ("tighten.engage.nut_to_mm", engage.nut_to_mm, engage.edge_mm, "mm"),
+        ("tighten.engage.edge_mm", engage.edge_mm, engage.engaged_mm, "mm"),
         ("limits.preload_low_n", limits.preload_low_n, limits.preload_high_n, "N"),
         ("heat.hold_force_n", heat.hold_force_n, heat.seat_force_limit_n, "N"),
         ("heat.difference_tolerance_k", heat.difference_tolerance_k, heat.difference_k, "K"),

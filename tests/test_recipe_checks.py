@@ -105,6 +105,7 @@ def test_the_temperature_window_from_both_sides(changes: list[tuple[str, str]], 
         (cell_with(jack_force={"range_n": 1000.0}), "limits.shaft_mass_kg"),
         (cell_with(gun_force_b={"range_n": 50.0}), "tighten.engage.force_high_n"),
         (cell_with(gun_feed={"max_speed": 1.0}), "tighten.engage.feed_speed_mm_s"),
+        (cell_with(gun_feed={"high": 90.0}), "tighten.engage.engaged_mm"),
     ],
 )
 def test_what_the_cell_cannot_do_is_refused(cell: CellConfig, place: str) -> None:

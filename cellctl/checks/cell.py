@@ -38,6 +38,10 @@ def _travel(recipe: Recipe, cell: CellConfig) -> list[Finding]:
     if not devices.jack.low <= 0.0 <= top <= devices.jack.high:
         text = f"the jack travels to {devices.jack.high} mm, seating may go to {top} mm"
         found.append(Finding(NAME, "heat.seat_travel_mm", text, f"<= {devices.jack.high}", "mm"))
+    feed, engaged = devices.gun_feed, recipe.tighten.engage.engaged_mm
+    if engaged > feed.high:
+        text = f"the sockets are over the nuts at {engaged} mm, the feed ends at {feed.high} mm"
+        found.append(Finding(NAME, "tighten.engage.engaged_mm", text, f"<= {feed.high}", "mm"))
     spread = devices.shaft_table.high - devices.shaft_table.low
     turn = 360.0 if recipe.pattern.index_feature is not None or recipe.pattern.angles_deg != "equal" else 0.0
     needed = turn or 360.0 / recipe.pattern.count

@@ -31,7 +31,8 @@ NUMBERS = {
     "sigma_xy_mm": "sigma of x and y, mm",
     "sigma_theta_deg": "sigma of theta, deg", "tilt_deg": "tilt of the faces, deg", "gap_mm": "gap, mm",
     "p_insert": "probability that all studs enter, cold", "p_insert_hot": "the same, hot",
-    "predicted_peak_force_n": "predicted peak force, N", "t_min_k": "window from, K", "t_max_k": "window to, K",
+    "p_force_ok": "probability that the force stays below the limit",
+    "predicted_peak_force_n": "predicted peak force (95 %), N", "clocking_free": "clocking free",
     "eps_pla": "face index eps_pla", "eps_cyc": "hole index eps_cyc",
 }  # fmt: skip
 
@@ -80,6 +81,9 @@ def _alignment(value: Value | None) -> str:
     if value is None:
         return ""
     parts = ["<h2>Alignment</h2>", table((), [(label, value[key]) for key, label in NUMBERS.items() if key in value])]
+    window = value.get("window")
+    if isinstance(window, dict):
+        parts.append("<h3>Temperature window</h3>" + table((), sorted(window.items())))
     parts.extend(
         f"<h3>{escape(key)}</h3>" + table((), [tuple(row) for row in matrix if isinstance(row, list)])
         for key, matrix in sorted(value.items())

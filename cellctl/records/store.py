@@ -33,6 +33,8 @@ from cellctl.records.summary import RunEnded, RunHeader, RunSummary, as_plain, f
 from cellctl.stamps import Stamps
 
 T = TypeVar("T")
+WATERMARK_BYTES = 256 << 20
+"""Free space without which no run begins: it holds the scans, journal and record of one run with room to spare."""
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,79}")
 
 
@@ -65,8 +67,9 @@ class OpenRun:
 class RunStore:
     """The runs below one data folder."""
 
-    def __init__(self, data: Path) -> None:
+    def __init__(self, data: Path, *, watermark_bytes: int = WATERMARK_BYTES) -> None:
         self._runs = data / "runs"
+        self._watermark_bytes = watermark_bytes
 
     async def begin(self, header: RunHeader, stamps: Stamps, *, keep: Keep = "all", replace: bool = False) -> OpenRun:
         """A new run with its header written.
@@ -75,12 +78,17 @@ class RunStore:
         the seed. Raises JournalUnavailable, UnknownRun for an id that names no folder.
         """
         folder = self._folder(header.run_id)
-        if replace and folder.exists():
-            shutil.rmtree(folder)
         try:
+            if replace and folder.exists():
+                shutil.rmtree(folder)
             folder.mkdir(parents=True)
+            free = shutil.disk_usage(folder).free
         except OSError as error:
             raise JournalUnavailable(f"run {header.run_id} cannot be begun: {error}") from None
+        if free < self._watermark_bytes:
+            folder.rmdir()
+            needed = f"{self._watermark_bytes >> 20} MB are needed"
+            raise JournalUnavailable(f"{free >> 20} MB are free for records, {needed} to begin a run")
         return await self._open(header.run_id, stamps, keep, header)
 
     async def resume(self, run_id: str, stamps: Stamps, *, keep: Keep = "all") -> tuple[OpenRun, tuple[Row, ...]]:

@@ -29,6 +29,8 @@ LAST_RESULT: Mapping[str, str] = MappingProxyType(
 )
 """The phases in their order, each with the type of the result that completes it."""
 
+NON_FINITE = ("NaN", "Infinity", "-Infinity")
+
 ALIGNMENT = (
     "theta_deg", "x_mm", "y_mm", "tilt_deg", "gap_mm", "sigma_theta_deg", "sigma_xy_mm", "p_insert",
     "predicted_peak_force_n", "clearance_mm",
@@ -207,4 +209,9 @@ def _type(row: Row) -> str | None:
 
 
 def _some(value: Value | None, keys: tuple[str, ...]) -> dict[str, Any] | None:
-    return None if value is None else {key: value.get(key) for key in keys}
+    return None if value is None else {key: _number(value.get(key)) for key in keys}
+
+
+def _number(item: Any) -> Any:
+    """What is no finite number is no number to a reader of the summary."""
+    return None if item in NON_FINITE else item

@@ -112,6 +112,14 @@ def test_a_run_is_not_written_over_unless_asked(tmp_path: Path) -> None:
     assert run_virtual(again(replace=True)) == 2
 
 
+def test_no_run_begins_that_the_disk_may_not_hold(tmp_path: Path) -> None:
+    store = RunStore(tmp_path, watermark_bytes=1 << 62)
+    with pytest.raises(JournalUnavailable, match="MB are free"):
+        run_virtual(store.begin(header(), VirtualStamps(1)))
+    assert run_virtual(store.ids()) == ()
+    run_virtual(stored(tmp_path))
+
+
 @pytest.mark.parametrize("run_id", ["", "..", "../keys", "a/b", "run-9", "-x", "a" * 81, "run-1\n"])
 def test_ids_that_name_no_run(tmp_path: Path, run_id: str) -> None:
     run_virtual(stored(tmp_path))

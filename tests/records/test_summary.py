@@ -59,6 +59,19 @@ def test_a_run_that_is_held_on_the_way() -> None:
     assert ended.phases[4].state == "Idle"
 
 
+def test_what_is_no_finite_number_is_none() -> None:
+    async def main() -> tuple[Row, ...]:
+        at = await desk()
+        joint = {"index": 3, "gun": "a", "stage": "snug", "torque_nm": float("nan"), "angle_deg": float("inf")}
+        await at.ledger.note("joint", joint | {"verdict": "unknown"})
+        rows = await at.journal.rows()
+        await at.close()
+        return rows
+
+    (joint,) = summarise(run_virtual(main())).joints
+    assert (joint["torque_nm"], joint["angle_deg"], joint["verdict"]) == (None, None, "unknown")
+
+
 def test_nothing_written_is_nothing_known() -> None:
     run = summarise(())
     assert (run.state, run.verdict, run.journal_hash, run.rows) == ("Running", None, GENESIS, 0)
