@@ -103,6 +103,10 @@ class Properties:
     force_gain: float = _n(1.0, "1")
     """Reading over true force."""
     brake_delay_s: float = _n(0.05, "s")
+    brake_late_s: float = _n(0.0, "s")
+    """The brake closes so long after the torque has gone: the load falls meanwhile."""
+    drive_delay_s: float = _n(0.005, "s")
+    """From a halt command to the first deceleration: bus and drive cycle."""
     ambient_c: float = _n(20.0, "Cel")
     fit_interference_mm: float = _n(math.nan, "mm")
     """Replaces the drawing's nominal interference."""

@@ -7,12 +7,19 @@ backlash, scale and encoder error. Units are the axis' own (mm or deg) and secon
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+CLOCK_S = 1e-6
+"""Two times closer than this are the same: a loop's timer may fire a rounding error early."""
+REMEMBERED = 8
+"""Trajectories kept: a sensor's delay reaches back by milliseconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,13 +96,21 @@ def stopping(position: float, velocity: float, acceleration: float, now: float) 
     return _pieces([(now, position, velocity, -math.copysign(acceleration, velocity)), (now + stop_s, end, 0.0, 0.0)])
 
 
-def falling(position: float, velocity: float, gravity: float, seconds: float, floor: float, now: float) -> Trajectory:
-    """Free fall with `gravity` (magnitude) for `seconds` until a brake holds, no lower than `floor`."""
-    end = position + seconds * (velocity - 0.5 * gravity * seconds)
-    if end < floor:
-        root = math.sqrt(velocity * velocity + 2.0 * gravity * max(position - floor, 0.0))
-        seconds, end = (velocity + root) / gravity, floor
-    return _pieces([(now, position, velocity, -gravity), (now + seconds, end, 0.0, 0.0)])
+def dropping(stop: Trajectory, gravity: float, seconds: float, floor: float) -> Trajectory:
+    """`stop`, then free fall with `gravity` (magnitude) for `seconds` until the late brake holds, or to `floor`."""
+    start, now = stop.target, stop.end_s
+    seconds = min(seconds, math.sqrt(2.0 * max(start - floor, 0.0) / gravity))
+    if seconds <= 0.0:
+        return stop
+    end = start - 0.5 * gravity * seconds * seconds
+    fall = _pieces([(now, start, 0.0, -gravity), (now + seconds, end, 0.0, 0.0)])
+    before = stop.times < now
+    return Trajectory(
+        np.append(stop.times[before], fall.times),
+        np.append(stop.positions[before], fall.positions),
+        np.append(stop.velocities[before], fall.velocities),
+        np.append(stop.accelerations[before], fall.accelerations),
+    )
 
 
 def _pieces(rows: list[tuple[float, float, float, float]]) -> Trajectory:
@@ -111,7 +126,7 @@ class AxisMotion:
 
     def __init__(self, position: float = 0.0, now: float = 0.0) -> None:
         self.now_at = standing(position, now)
-        self._before = self.now_at
+        self._past: deque[tuple[float, Trajectory]] = deque(maxlen=REMEMBERED)
         self._changed_s = now
         self.direction = 1.0
         self.version = 0
@@ -121,7 +136,8 @@ class AxisMotion:
 
     def start(self, trajectory: Trajectory, now: float) -> None:
         """Replace what the axis does from `now` on."""
-        self._before, self._changed_s = self.now_at, now
+        self._past.append((now, self.now_at))
+        self._changed_s = now
         self.now_at = trajectory
         velocity = trajectory.target - float(trajectory.position_at(now))
         if velocity != 0.0:
@@ -142,10 +158,13 @@ class AxisMotion:
             self.brake_closes_s = self.now_at.end_s + brake_delay_s
         return self.now_at
 
-    def fall(self, gravity: float, seconds: float, floor: float, now: float) -> Trajectory:
-        """Power is gone while the brake is open: the load falls until the brake holds."""
-        self.start(falling(self.position(now), self.velocity(now), gravity, seconds, floor, now), now)
-        self.brake_closes_s = now + seconds
+    def drop(self, gravity: float, seconds: float, floor: float, now: float) -> Trajectory:
+        """After the present stop the drive has no torque, and the brake closes `seconds` late."""
+        self.start(
+            dropping(self.now_at if self.moving(now) else standing(self.position(now), now), gravity, seconds, floor),
+            now,
+        )
+        self.brake_closes_s = self.now_at.end_s
         return self.now_at
 
     def position(self, now: float) -> float:
@@ -158,21 +177,24 @@ class AxisMotion:
 
     def moving(self, now: float) -> bool:
         """Whether the profile is still running at `now`."""
-        return now < self.now_at.end_s
+        return now < self.now_at.end_s - CLOCK_S
 
     def positions(self, time_s: Array) -> Array:
-        """Motor positions (n,) at times (n,), the trajectory before the last change included."""
-        if time_s.size and time_s[0] >= self._changed_s:
-            return self.now_at.position_at(time_s)
-        return np.where(time_s < self._changed_s, self._before.position_at(time_s), self.now_at.position_at(time_s))
+        """Motor positions (k,) at times (k,), the last trajectories before the present one included."""
+        return self._over(time_s, Trajectory.position_at)
 
     def velocities(self, time_s: Array) -> Array:
-        """Motor velocities (n,)."""
-        if time_s.size and time_s[0] >= self._changed_s:
-            return self.now_at.velocity_at(time_s)
-        return np.where(time_s < self._changed_s, self._before.velocity_at(time_s), self.now_at.velocity_at(time_s))
+        """Motor velocities (k,)."""
+        return self._over(time_s, Trajectory.velocity_at)
 
     def accelerations(self, time_s: Array) -> Array:
-        """Motor accelerations (n,)."""
-        before, after = self._before.acceleration_at(time_s), self.now_at.acceleration_at(time_s)
-        return np.where(time_s < self._changed_s, before, after)
+        """Motor accelerations (k,)."""
+        return self._over(time_s, Trajectory.acceleration_at)
+
+    def _over(self, time_s: Array, what: Callable[[Trajectory, Array], Array]) -> Array:
+        values = what(self.now_at, time_s)
+        if time_s.size == 0 or time_s.min() >= self._changed_s:
+            return values
+        for until, trajectory in reversed(self._past):
+            values = np.where(time_s < until, what(trajectory, time_s), values)
+        return values

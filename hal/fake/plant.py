@@ -175,10 +175,14 @@ class Plant:
             self.engagement.stopped(curve, motion, dock, speed, acceleration, now)
         return self._changed(trajectory)
 
-    def drop(self, axis: str, seconds: float, now: float) -> Trajectory:
-        """Power is cut with the brake open: a load that hangs on the axis falls until the brake holds."""
-        self.advance(now)
-        return self._changed(self.motion[axis].fall(GRAVITY_MM_S2, seconds, 0.0, now))
+    def cut_power(self, axis: str, acceleration: float, now: float) -> Trajectory:
+        """Safe stop 1: the drive stops and the brake closes before the torque goes. A late brake lets the jack fall."""
+        self.stop(axis, acceleration, now)
+        late_s = self.numbers.properties.brake_late_s
+        if axis != "jack" or late_s <= 0.0:
+            return self.motion[axis].now_at
+        self.damage("the load was dropped")
+        return self._changed(self.motion[axis].drop(GRAVITY_MM_S2, late_s, 0.0, now))
 
     def _changed(self, trajectory: Trajectory) -> Trajectory:
         for listener in tuple(self._listeners):
