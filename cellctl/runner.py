@@ -1,0 +1,178 @@
+"""One assembly in virtual time, without the API: the only way to run without the service.
+
+The composition root that owns the plant: it builds twin, fakes, controller and record, and takes the truth out by its
+one door after the run has ended. Nothing that runs inside can reach it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cellctl.assembly import Assembly, Bench, Order
+from cellctl.calibration import load_calibration
+from cellctl.controller import Controller
+from cellctl.event_log import EventLog
+from cellctl.recipe import Recipe
+from cellctl.records.blobs import Keep
+from cellctl.records.store import RunStore
+from cellctl.records.summary import RunSummary
+from cellctl.stamps import VirtualStamps
+from cellctl.states import Command, State
+from cellctl.twin import fake_cell
+from cellctl.vision.worker import VisionWorker
+from hal.cell import Cell
+from hal.clock import run_virtual
+from hal.config import CellConfig, Level
+from hal.errors import DeviceError
+from hal.fake.fault_file import FaultFile
+from hal.fake.truth import Truth, truth_of
+from hal.jobs import InlineJobs
+
+ENDED = (State.COMPLETE, State.HELD, State.STOPPED, State.ABORTED)
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """What is to be run. `level`, `points` and `overrides` stand in the cell's `[twin]`."""
+
+    recipe: Recipe
+    config: CellConfig
+    seed: int
+    data: Path
+    faults: FaultFile = FaultFile((), None)
+    forced: tuple[str, ...] = ()
+    keep: Keep = "decision"
+    rotor_serial: str = "R-1"
+    shaft_serial: str = "S-1"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How the run ended, what it found out, and the truth beside it. `record` is None where none could be written."""
+
+    state: str
+    verdict: str
+    reasons: tuple[str, ...]
+    seed: int
+    wall_time_s: float
+    summary: RunSummary | None
+    truth: Truth
+    record: Path | None
+    overrides: Mapping[str, float] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """The document of `cellctl run --json`."""
+        summary = self.summary
+        return {
+            "verdict": self.verdict,
+            "state": self.state,
+            "reasons": list(self.reasons),
+            "seed": self.seed,
+            "journal_hash": summary.journal_hash if summary else None,
+            "cell_time_s": summary.cell_time_s if summary else 0.0,
+            "wall_time_s": self.wall_time_s,
+            "phases": [dataclasses.asdict(phase) for phase in summary.phases] if summary else [],
+            "alignment": summary.alignment if summary else None,
+            "insertion": summary.insertion if summary else None,
+            "heat": summary.heat if summary else None,
+            "joints": list(summary.joints) if summary else [],
+            "truth": self.truth.to_json(),
+            "record": str(self.record) if self.record else None,
+        }
+
+
+def run_once(request: RunRequest) -> Outcome:
+    """Run one assembly to its end under virtual time. Raises ConfigError for a recipe the twin cannot be built to."""
+    started = time.perf_counter()
+    outcome = run_virtual(_run(request))
+    return dataclasses.replace(outcome, wall_time_s=time.perf_counter() - started)
+
+
+async def _run(request: RunRequest) -> Outcome:
+    twin = fake_cell(request.recipe, request.config, InlineJobs(), seed=request.seed, faults=request.faults.faults)
+    stamps = VirtualStamps(request.seed)
+    events = EventLog(stamps.now)
+    controller = Controller(twin.cell, events, safe_deadline_s=request.config.cell.safe_deadline_s)
+    try:
+        identities = await twin.cell.connect()
+    except DeviceError as error:
+        await twin.cell.close()
+        return Outcome("Stopped", "held", (str(error),), request.seed, 0.0, None, truth_of(twin.plant), None)
+    calibration = load_calibration(request.config.calibration_path)
+    store = RunStore(request.data)
+    order = Order(
+        run_id=stamps.new_id("run"),
+        job_order_id=f"run-{request.seed}",
+        recipe=request.recipe,
+        rotor_serial=request.rotor_serial,
+        shaft_serial=request.shaft_serial,
+        forced=request.forced,
+        seed=request.seed,
+        level=request.config.twin.level,
+        keep=request.keep,
+    )
+    bench = Bench(
+        devices=twin.cell,
+        interlock=twin.cell.guard,
+        vision=VisionWorker(InlineJobs(), calibration, seed=request.seed),
+        config=request.config,
+        calibration=calibration,
+        store=store,
+        stamps=stamps,
+        identities=identities,
+    )
+    loop = asyncio.get_running_loop()
+    assembly = Assembly(
+        order, bench, on_phase=lambda name: twin.faults.enter_phase(name, loop.time()), replace_stored=True
+    )
+    state = await _to_the_end(controller, twin.cell, assembly)
+    why = controller.snapshot().why
+    await controller.shutdown()
+    await twin.cell.close()
+    summary = await store.get(order.run_id)
+    return Outcome(
+        state=state.value,
+        verdict=summary.verdict or "held",
+        reasons=summary.reasons or ((why,) if why else ()),
+        seed=request.seed,
+        wall_time_s=0.0,
+        summary=summary,
+        truth=truth_of(twin.plant),
+        record=store.record_path(order.run_id),
+    )
+
+
+async def _to_the_end(controller: Controller, cell: Cell, assembly: Assembly) -> State:
+    """Reset, start, wait; the safety inputs are watched all the time, as in the service."""
+    controller.request(Command.RESET)
+    await controller.until(State.IDLE, State.ABORTED, State.STOPPED)
+    watch = asyncio.get_running_loop().create_task(watch_safety(controller, cell))
+    try:
+        controller.start(assembly)
+        return await controller.until(*ENDED)
+    finally:
+        watch.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await watch
+
+
+async def watch_safety(controller: Controller, cell: Cell) -> None:
+    """Abort as soon as a safety input is open or unknown."""
+    reason = await cell.until_unsafe()
+    if Command.ABORT in controller.allowed():
+        controller.request(Command.ABORT, reason)
+
+
+def with_twin(config: CellConfig, *, level: Level | None = None, overrides: Mapping[str, float] | None = None) -> CellConfig:
+    """The same cell on another twin."""
+    twin = config.twin.model_copy(
+        update={"level": level or config.twin.level, "overrides": {**config.twin.overrides, **(overrides or {})}}
+    )
+    return config.model_copy(update={"twin": twin})

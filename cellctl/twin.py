@@ -1,23 +1,52 @@
-"""The plant that stands behind fake devices, made from a recipe and the cell file. Used by composition roots only."""
+"""The twin behind fake devices: a plant made from recipe and cell file, and the cell that stands on it.
+
+Used by the composition roots only.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cellctl.recipe import PartSpec, Recipe
-from hal.config import Level
+from hal.cell import Cell, build_cell
+from hal.config import CellConfig
 from hal.errors import ConfigError
+from hal.fake.fault_file import Fault
+from hal.fake.faults import FaultBook
 from hal.fake.geometry import JointGeometry
+from hal.fake.guns import install_joints
+from hal.fake.heating import install_heat
+from hal.fake.plant import Plant, TwinSettings
+from hal.fake.scene import SceneState, render
+from hal.jobs import Jobs
 
 
 @dataclass(frozen=True, slots=True)
-class TwinRequest:
-    """Which twin: seed, level and named overrides, as in the cell file's `[twin]`."""
+class FakeCell:
+    """A cell on fake devices, not connected, with the plant and the faults behind it."""
 
-    seed: int
-    level: Level = "nominal"
-    overrides: Mapping[str, float] = field(default_factory=dict)
+    cell: Cell
+    plant: Plant
+    faults: FaultBook
+
+
+def fake_cell(
+    recipe: Recipe, config: CellConfig, jobs: Jobs, *, seed: int, faults: Iterable[Fault] = ()
+) -> FakeCell:
+    """Plant, faults and cell. Clouds are rendered by `jobs`. Raises ConfigError."""
+    plant = Plant(geometry_of(recipe), TwinSettings(seed, config.twin.level, config.twin.overrides))
+    install_heat(plant)
+    install_joints(plant)
+    book = FaultBook(faults)
+
+    async def picture(scene: SceneState, picture_seed: int) -> NDArray[np.float32]:
+        return await jobs.run(render, scene, picture_seed, latency_s=0.0)
+
+    return FakeCell(build_cell(config, plant=plant, faults=book, render=picture), plant, book)
 
 
 def geometry_of(recipe: Recipe) -> JointGeometry:
