@@ -50,7 +50,7 @@ class Sealing:
 def seal(path: Path, rows: tuple[Row, ...], sealing: Sealing, key: Ed25519PrivateKey) -> str:
     """Write the sealed record to `path`, durable when this returns; gives the SHA-256 of the file. Blocking.
 
-    Raises RecordCorrupt where chain or blobs are not whole, JournalUnavailable where it cannot be written.
+    Raises RecordCorrupt where the chain is broken or a blob is missing, JournalUnavailable where it cannot be written.
     """
     head = head_of(rows)
     dropped = dropped_by(sealing.keep, rows)
