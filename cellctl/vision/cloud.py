@@ -7,6 +7,7 @@ the reason, never a cloud.
 from __future__ import annotations
 
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,7 +87,7 @@ def load_cloud(path: Path) -> Cloud:
             points = readers[kind](path.read_bytes())
         else:
             raise Unreadable(f"unknown kind of file '{kind}', known: ply, pcd, xyz, npy, npz", place=path.name)
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, KeyError, MemoryError, zlib.error, zipfile.BadZipFile) as error:
         raise Unreadable(str(error) or type(error).__name__, place=path.name) from None
     if points.ndim == 2:
         finite = np.isfinite(points).all(axis=1)
@@ -99,11 +100,11 @@ def load_cloud(path: Path) -> Cloud:
 
 def _numpy(path: Path) -> NDArray[np.float64]:
     """Array of an NPY file, or the only one (or the one named `points`) of an NPZ. Raises ValueError."""
-    loaded = np.load(path, allow_pickle=False)
-    if isinstance(loaded, np.ndarray):
-        array = loaded
-    else:
-        with loaded:
+    with path.open("rb") as file:
+        loaded = np.load(file, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            array = loaded
+        else:
             names = list(loaded.files)
             if "points" not in names and len(names) != 1:
                 raise ValueError(f"holds the arrays {names}, expected one, or one named 'points'")

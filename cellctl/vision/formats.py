@@ -62,6 +62,7 @@ def _ply_header(text: str) -> tuple[str, list[Element]]:
 
 
 def _ply_ascii(body: bytes, elements: list[Element]) -> Array:
+    _ends_with_a_line(body)
     lines = [line for line in body.split(b"\n") if line.strip()]
     needed = sum(item[1] for item in elements)
     if len(lines) < needed:
@@ -116,6 +117,7 @@ def read_pcd(data: bytes) -> Array:
         raise ValueError(f"WIDTH {width} x HEIGHT {height} is not POINTS {points}")
     layout = header["DATA"][0]
     if layout == "ascii":
+        _ends_with_a_line(body)
         values = np.array(body.split(), dtype=np.float64)
         if values.size != points * sum(counts):
             raise ValueError(f"truncated: {points * sum(counts)} numbers announced, {values.size} found")
@@ -214,6 +216,12 @@ def read_xyz(data: bytes) -> Array:
     if width < 3 or any(len(row) != width for row in rows):
         raise ValueError("lines differ in length or have fewer than three numbers")
     return np.array(rows, dtype=np.float64)[:, :3]
+
+
+def _ends_with_a_line(body: bytes) -> None:
+    """A text that stops inside a line may have lost digits of its last number, which nothing else would show."""
+    if not body.endswith((b"\n", b"\r")):
+        raise ValueError("truncated: the last line does not end")
 
 
 def _columns(table: Array, names: list[str]) -> Array:

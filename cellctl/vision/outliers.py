@@ -14,6 +14,9 @@ from scipy.spatial import cKDTree
 from cellctl.vision.geometry import Points
 
 
+GRID_SPREAD = 0.2
+
+
 def keep_mask(
     points: Points, *, neighbours: int = 8, factor: float = 3.0, sides: Literal["one_sided", "two_sided"] = "one_sided"
 ) -> NDArray[np.bool_]:
@@ -27,7 +30,9 @@ def keep_mask(
     distances, _ = cKDTree(points).query(points, k=neighbours + 1)
     # eq. 2, corrected: the mean of the k distances, not their sum, is what compares with the mean over the cloud
     mean_distance = np.asarray(distances)[:, 1:].mean(axis=1)
-    centre, spread = mean_distance.mean(), mean_distance.std()
+    # a regular grid has next to no spread, and then its own rim, a quarter to a half further apart, would go
+    centre = mean_distance.mean()
+    spread = max(mean_distance.std(), GRID_SPREAD * centre)
     # eq. 3, one-sided by default: a point that is close to its neighbours is no outlier
     kept = mean_distance <= centre + factor * spread
     if sides == "two_sided":

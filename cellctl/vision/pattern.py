@@ -10,6 +10,10 @@ from cellctl.vision.geometry import Array, wrap_rad
 from cellctl.vision.part import Part, Refused
 
 
+# score by which the best clocking must beat every other one; one matched feature is worth 1
+CLEAR_MARGIN = 0.2
+
+
 @dataclass(frozen=True, slots=True)
 class PatternPose:
     """Pattern centre (2,) mm in plane coordinates and clocking (rad); how many features were matched, and how well."""
@@ -123,10 +127,30 @@ def _vote_clocking(
         return None
     for rival in scored:
         apart = float(np.mod(rival.clocking_rad - best.clocking_rad, step))
-        if min(apart, step - apart) > 2.0 * tolerance and rival.score > 0.97 * best.score:
+        if min(apart, step - apart) > 2.0 * tolerance and rival.score > best.score - CLEAR_MARGIN:
             raise Refused("pattern_ambiguous", "two clockings of the pattern are met equally well")
     clocking = float(np.mod(best.clocking_rad + 0.5 * step, step) - 0.5 * step)
-    return PatternPose(centre, clocking, best.matched, best.score)
+    shift, turn = _rigid(nominal(part), offset[on], clocking, tolerance * radius)
+    return PatternPose(centre + shift, clocking + turn, best.matched, best.score)
+
+
+def _rigid(model: Array, offset: Array, clocking: float, tolerance_mm: float) -> tuple[Array, float]:
+    """Small shift (2,) and turn that bring the pattern onto the candidates that it meets."""
+    c, s = np.cos(clocking), np.sin(clocking)
+    turned = model @ np.array([[c, s], [-s, c]])
+    gap = offset[:, None] - turned[None]
+    distance = np.hypot(gap[..., 0], gap[..., 1])
+    nearest = distance.argmin(axis=0)
+    index = np.arange(len(model))
+    met = distance[nearest, index] < tolerance_mm
+    if np.count_nonzero(met) < 2:
+        return np.zeros(2), 0.0
+    residual, arm = gap[nearest, index][met], turned[met]
+    design = np.zeros((len(arm), 2, 3))
+    design[:, 0, 0] = design[:, 1, 1] = 1.0
+    design[:, 0, 2], design[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    answer = np.linalg.lstsq(design.reshape(-1, 3), residual.reshape(-1), rcond=None)[0]
+    return answer[:2], float(answer[2])
 
 
 def _score(

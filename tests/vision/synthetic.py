@@ -96,7 +96,7 @@ def _cast(view: View, origin: Array, rays: Array) -> Array:
     for height, inner, outer in (
         (-60.0, 0.0, 1e9 if view.clutter else 0.0),
         (-(part.ledge_step_mm or 5.0), r_out, r_out + 15.0),
-    ):  # noqa: E501
+    ):
         t = (height - origin[2]) / rays[:, 2]
         rho = np.hypot(*(origin[:2] + t[:, None] * rays[:, :2]).T)
         hit = (rho >= inner) & (rho < outer)

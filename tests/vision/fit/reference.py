@@ -1,4 +1,4 @@
-"""Point sets whose least-squares element is known exactly, after Forbes (NPL DITC 140/89) and Cox & Forbes (DITC 211/92).
+"""Point sets whose least-squares element is known exactly (Forbes, NPL DITC 140/89; Cox & Forbes, DITC 211/92).
 
 Points on an element are moved along their normals by residuals from the null space of J^T. Moving a point along its
 normal leaves J as it is, so the element stays the exact stationary point, and for small residuals the minimum.

@@ -84,7 +84,7 @@ def test_flatness_against_every_pair_of_support_planes() -> None:
 
 @pytest.mark.parametrize(
     ("zone", "least"), [("plane_zone", "plane"), ("circle_zone", "circle"), ("cylinder_zone", "cylinder")]
-)  # noqa: E501
+)
 def test_zone_is_never_wider_than_least_squares(zone: str, least: str) -> None:
     rng = np.random.default_rng(6)
     for _ in range(20):
