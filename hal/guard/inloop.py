@@ -20,6 +20,8 @@ from hal.guard.logic import Trip, Watch, check
 from hal.interfaces import Axis, ForceBlock, ForceSensor, GuardLimits, GuardState
 from hal.latch import Latch
 
+MOST_SKIPPED = 100
+"""Blocks that a link may have kept from before the guard was armed; beyond them the sensor is stale."""
 _NO_LIMITS = GuardLimits("idle", tare_n=0.0, trip_n=math.inf, low_n=-math.inf, stale_ms=math.inf, block=1)
 
 
@@ -28,20 +30,23 @@ class _Window:
     """Samples being gathered for one caller."""
 
     wanted: int
+    since_s: float
     done: asyncio.Future[ForceBlock]
     first: ForceBlock | None = None
     parts: list[NDArray[np.float64]] = field(default_factory=list)
 
     def take(self, block: ForceBlock) -> None:
-        """Add what is still wanted of `block`."""
-        if self.done.done():
+        """Add what is still wanted of `block`; samples taken before `since_s` are not."""
+        old = max(0, math.ceil((self.since_s - block.time_s) / block.period_s - 1e-6))
+        if self.done.done() or old >= len(block.samples_n):
             return
-        self.first = self.first or block
-        self.parts.append(block.samples_n[: self.wanted])
-        self.wanted -= len(self.parts[-1])
+        samples = block.samples_n[old : old + self.wanted]
+        if self.first is None:
+            self.first = replace(block, sequence=block.sequence + old, time_s=block.time_s + old * block.period_s)
+        self.parts.append(samples)
+        self.wanted -= len(samples)
         if self.wanted <= 0:
-            first = self.first
-            self.done.set_result(ForceBlock(first.sequence, first.time_s, first.period_s, np.concatenate(self.parts)))
+            self.done.set_result(replace(self.first, samples_n=np.concatenate(self.parts)))
 
 
 class InLoopGuard:
@@ -72,6 +77,8 @@ class InLoopGuard:
         self._watch = Watch(_NO_LIMITS, frozen_samples)
         self._idle = self._watch
         self._armed = False
+        self._armed_s = 0.0
+        self._skipped = 0
         self._acting = False
         self._trip: Trip | None = None
         self._proven: asyncio.Future[None] | None = None
@@ -102,7 +109,7 @@ class InLoopGuard:
         if not (limits.low_n < limits.trip_n and math.isfinite(limits.tare_n) and limits.block >= 1):
             raise ImplausibleReading(f"limits that nothing can keep: {limits}", device=self._sensor.name)
         self._watch = Watch(limits, self._watch.frozen_samples, self._watch.next_sequence)
-        self._armed = True
+        self._armed, self._armed_s, self._skipped = True, asyncio.get_running_loop().time(), 0
         self._proven = asyncio.get_running_loop().create_future()
         self._start()
         await self._proven
@@ -124,7 +131,8 @@ class InLoopGuard:
     async def window(self, seconds: float) -> ForceBlock:
         """The samples of the next `seconds`, armed or not. Raises GuardTripped when the guard trips meanwhile."""
         wanted = max(1, round(seconds * self._sensor.rate_hz))
-        window = _Window(wanted, asyncio.get_running_loop().create_future())
+        loop = asyncio.get_running_loop()
+        window = _Window(wanted, loop.time(), loop.create_future())
         self._windows.append(window)
         self._start()
         try:
@@ -199,6 +207,9 @@ class InLoopGuard:
 
     def _look(self, block: ForceBlock, now: float) -> Trip | None:
         self._time_s = now
+        if self._from_before(block):
+            self._watch = replace(self._watch, next_sequence=block.sequence + len(block.samples_n))
+            return None
         if self._armed:
             self._watch, trip = check(self._watch, block, now)
         else:
@@ -211,6 +222,14 @@ class InLoopGuard:
             if self._armed and self._proven is not None and not self._proven.done():
                 self._proven.set_result(None)
         return trip
+
+    def _from_before(self, block: ForceBlock) -> bool:
+        """Whether `block` was taken wholly before the guard was armed: what a link had kept is let go, to a bound."""
+        if self._proven is None or self._proven.done() or self._skipped >= MOST_SKIPPED:
+            return False
+        old = block.time_s + (len(block.samples_n) - 1) * block.period_s < self._armed_s
+        self._skipped += old
+        return old
 
     async def _act(self, trip: Trip) -> None:
         self._trip = trip

@@ -125,6 +125,7 @@ class SmallForce(SmallDevice):
         self.frozen = False
         self.skip = 0
         self.late_s = 0.0
+        self.kept = 0
         self.readers = 0
         self.sequence = 0
 
@@ -145,6 +146,11 @@ class SmallForce(SmallDevice):
             )
             out = ~((values >= low_n) & (values <= high_n))
             taken = int(np.argmax(out)) + 1 if out.any() else count
+            if self.kept > 0:  # what the link had kept comes at once
+                taken, age_s = min(taken, self.kept), self.kept * 0.001
+                self.kept -= taken
+                self.sequence = first + taken
+                return ForceBlock(first, start - age_s, 0.001, values[:taken])
             await asyncio.sleep(taken / self.rate_hz)
             self.sequence = first + taken
             return ForceBlock(first, start - self.late_s + 0.001, 0.001, values[:taken])

@@ -116,6 +116,36 @@ def test_arming_proves_a_living_sensor_first() -> None:
     run(main())
 
 
+def test_samples_that_the_link_kept_from_before_are_let_go() -> None:
+    async def main() -> None:
+        bench = Bench()
+        bench.sensor.kept = 80
+        await asyncio.sleep(0.2)
+        await bench.guard.arm(LIMITS)
+        assert bench.guard.state().samples == 10
+        assert not bench.guard.state().tripped
+        await bench.guard.disarm()
+        bench.sensor.kept = 80
+        before = asyncio.get_running_loop().time()
+        window = await bench.guard.window(0.1)
+        assert window.time_s >= before
+        assert len(window.samples_n) == 100
+
+    run(main())
+
+
+def test_a_sensor_whose_samples_stay_old_trips_at_arming() -> None:
+    async def main() -> None:
+        bench = Bench()
+        bench.sensor.late_s = 5.0
+        await asyncio.sleep(10.0)
+        await bench.guard.arm(LIMITS)
+        assert "ms old" in bench.guard.state().reason
+        await bench.guard.disarm()
+
+    run(main())
+
+
 def test_a_sensor_that_dies_latches_in_time() -> None:
     async def main() -> None:
         bench = Bench()
