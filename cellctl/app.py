@@ -1,0 +1,299 @@
+"""Composition root of the service: cell file in, a running API out.
+
+Everything lives in one event loop whose clock may be quickened; heavy work is done in worker processes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+import os
+import signal
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import httpx
+from fastapi import FastAPI
+
+from cellctl.api.app import create_app
+from cellctl.api.auth import Allow, DemoAuth, declared
+from cellctl.api.metrics import Metrics
+from cellctl.api.server import Server, bound, make_server
+from cellctl.api.services import Services
+from cellctl.controller import Controller, Snapshot
+from cellctl.dry_runs import DryRuns, TwinOutcome
+from cellctl.event_log import EventLog
+from cellctl.orders import Fault, Order, OrderBook, OrderRefused
+from cellctl.recipe import Recipe
+from cellctl.recipe_book import RecipeBook, load_book
+from cellctl.records.errors import RecordError, UnknownRun
+from cellctl.records.store import RunStore
+from cellctl.records.summary import RunEnded
+from cellctl.safety_watch import watch_safety
+from cellctl.service_rules import Settings, real_devices, refuse_unfit
+from cellctl.session import SafeCell, Session
+from cellctl.stamps import Stamps, WallStamps
+from cellctl.states import Command
+from hal.config import CellConfig, load_cell
+from hal.errors import ConfigError
+
+TOKEN_FILE = "demo-token"
+_log = logging.getLogger(__name__)
+
+
+class Workplace(SafeCell, Protocol):
+    """Cell, vision and records, ready for orders: all that the service needs of what is below it."""
+
+    @property
+    def failure(self) -> str:
+        """Why no order can be worked on, or an empty string."""
+        ...
+
+    def faults(self, recipe: Recipe) -> tuple[Fault, ...]:
+        """What makes the recipe unfit for this cell."""
+        ...
+
+    async def ready(self) -> str:
+        """Connect what is not connected and look at what Idle needs; the reason against it, or an empty string."""
+        ...
+
+    async def until_unsafe(self) -> str:
+        """Returns the reason once a safety input is open."""
+        ...
+
+    def session(self, order: Order, recipe: Recipe) -> Session:
+        """A run of that order."""
+        ...
+
+    async def on_twin(self, recipe: Recipe, seed: int) -> TwinOutcome:
+        """A run on a private twin."""
+        ...
+
+    def time_left_s(self, snapshot: Snapshot) -> float | None:
+        """Cell seconds to the end of the run, where known."""
+        ...
+
+
+OpenWorkplace = Callable[[CellConfig, RecipeBook, RunStore, Stamps, Path], AsyncIterator[Workplace]]
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """A service that listens. `stop` ends it."""
+
+    url: str
+    token: str
+    services: Services
+    data: Path
+    stop: Callable[[], None]
+
+
+async def serve(
+    settings: Settings, open_workplace: OpenWorkplace, *, during: Callable[[Service], Awaitable[None]] | None = None
+) -> None:
+    """Serve until SIGTERM, SIGINT or `Service.stop`, or, with `during`, until that has returned.
+
+    Raises ConfigError for files or settings that do not fit, and what `during` raises.
+    """
+    config = load_cell(settings.cell)
+    refuse_unfit(settings, config)
+    sock = _socket(settings)
+    async with AsyncExitStack() as stack:
+        stack.callback(sock.close)
+        services, auth = await _services(stack, settings, config, open_workplace)
+        app = create_app(services)
+        await _warm(app, auth.token)
+        server = make_server(app, wall_s=settings.speed)
+
+        def stop() -> None:
+            services.events.close()  # open streams end, so that none of them holds up the server
+            server.stop()
+
+        serving = await stack.enter_async_context(_listening(server, sock, stop))
+        service = Service(f"http://{_host(settings.host)}:{server.port}", auth.token, services, settings.data, stop)
+        with _signals(stop):
+            _log.info("listening on %s", service.url)
+            if during is not None:
+                await _alongside(during(service), serving)
+            else:
+                await serving
+
+
+def _socket(settings: Settings) -> socket.socket:
+    try:
+        return bound(settings.host, settings.port)
+    except OSError as error:
+        raise ConfigError(f"port {settings.port} cannot be used: {error.strerror}", place="--port") from None
+
+
+async def _services(
+    stack: AsyncExitStack, settings: Settings, config: CellConfig, open_workplace: OpenWorkplace
+) -> tuple[Services, DemoAuth]:
+    stamps = WallStamps()
+    events = EventLog(stamps.now)
+    store = RunStore(settings.data)
+    book = load_book(settings.recipes)
+    settings.data.mkdir(parents=True, exist_ok=True)
+    opened = asynccontextmanager(open_workplace)(config, book, store, stamps, settings.data)
+    workplace = await stack.enter_async_context(opened)
+    controller = Controller(workplace, events, safe_deadline_s=config.cell.safe_deadline_s, ready=workplace.ready)
+    stack.push_async_callback(controller.shutdown)
+    metrics = Metrics(controller, events)
+
+    def check(name: str, version: int) -> Recipe:
+        return fitting(book, workplace, name, version)
+
+    orders = OrderBook(
+        settings.data / "orders.jsonl", controller, events, stamps, check=check, open_session=workplace.session
+    )
+    dry_runs = DryRuns(workplace.on_twin, stamps)
+    stack.push_async_callback(dry_runs.close)
+    await stack.enter_async_context(_background(watch_safety(controller, workplace.until_unsafe)))
+    auth = _demo_auth(settings.data)
+    interrupted = orders.interrupted()
+    if interrupted is None:
+        controller.request(Command.RESET)
+    else:
+        # Whatever it was doing, nothing is known of it now: a person looks before anything moves.
+        why = await _give_up(interrupted, orders, store, stamps)
+        controller.request(Command.ABORT, why)
+    return Services(
+        cell_name=config.cell.name,
+        simulated=len(real_devices(config)) < len(type(config.devices).model_fields),
+        controller=controller,
+        orders=orders,
+        events=events,
+        recipes=book,
+        runs=store,
+        dry_runs=dry_runs,
+        auth=auth,
+        metrics=metrics,
+        not_ready=lambda: workplace.failure,
+        time_left_s=workplace.time_left_s,
+        wall_s=settings.speed,
+    ), auth
+
+
+async def _give_up(order: Order, orders: OrderBook, store: RunStore, stamps: Stamps) -> str:
+    """Seal what is left of a run that was cut off; the sentence that the operator reads."""
+    why = f"the service ended during run {order.run_id}"
+    try:
+        opened, unknown = await store.resume(order.run_id, stamps)
+    except UnknownRun:
+        pass  # it was cut off before its journal was begun
+    except RecordError as error:
+        why = f"{why}; its journal cannot be read: {error.reason}"
+    else:
+        if unknown:
+            commands = ", ".join(sorted({f"{row.value['device']} {row.value['command']}" for row in unknown}))
+            why = f"{why}; it is not known what became of: {commands}"
+        await opened.end(RunEnded("Aborted", "held", (why,)))
+    await orders.give_up(order)
+    return why
+
+
+def fitting(book: RecipeBook, workplace: Workplace, name: str, version: int) -> Recipe:
+    """The recipe of that id and version. Raises OrderRefused with every reason against it."""
+    recipe = book.get(name, version)
+    if recipe is None:
+        known = book.versions(name)
+        pointer = "/recipe_version" if known else "/recipe"
+        limit = ", ".join(map(str, known)) if known else ""
+        fault = Fault(pointer, "no such recipe" if not known else "no such version", limit)
+        raise OrderRefused("recipe_unknown", f"no recipe {name} version {version}", (fault,))
+    faults = workplace.faults(recipe)
+    if faults:
+        raise OrderRefused("recipe_unfit", f"recipe {name} version {version} does not fit this cell", faults)
+    return recipe
+
+
+def _demo_auth(data: Path) -> DemoAuth:
+    """A new token at every start, readable by this user only."""
+    auth = DemoAuth()
+    path = data / TOKEN_FILE
+    path.unlink(missing_ok=True)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "w", encoding="ascii") as file:
+        file.write(auth.token + "\n")
+    return auth
+
+
+async def _warm(app: FastAPI, token: str) -> None:
+    """Call every plain route once, then keep what start-up made out of the garbage collector's way."""
+    headers = {"Authorization": f"Bearer {token}"}
+    transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+    async with httpx.AsyncClient(transport=transport, base_url="http://warm", headers=headers) as client:
+        for route in declared(app):
+            if "GET" in route.methods and "{" not in route.path and not route.path.endswith("/events"):
+                await client.get(route.path)
+            elif "POST" in route.methods and isinstance(route.access, Allow):
+                await client.post(route.path, json={})
+    gc.collect()
+    gc.freeze()
+
+
+@asynccontextmanager
+async def _listening(
+    server: Server, sock: socket.socket, stop: Callable[[], None]
+) -> AsyncIterator[asyncio.Task[None]]:
+    serving = asyncio.create_task(server.serve_on(sock))
+    listening = asyncio.create_task(server.listening.wait())
+    await asyncio.wait({serving, listening}, return_when=asyncio.FIRST_COMPLETED)
+    try:
+        if serving.done():
+            listening.cancel()
+            serving.result()
+            raise RuntimeError("the server ended before it listened")
+        yield serving
+    finally:
+        stop()
+        await asyncio.wait({serving})
+
+
+@asynccontextmanager
+async def _background(work: Awaitable[None]) -> AsyncIterator[None]:
+    task = asyncio.ensure_future(work)
+    try:
+        yield
+    finally:
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+
+
+async def _alongside(during: Awaitable[None], serving: asyncio.Task[None]) -> None:
+    """Until `during` has returned or the server has ended, whichever is first."""
+    task = asyncio.ensure_future(during)
+    await asyncio.wait({task, serving}, return_when=asyncio.FIRST_COMPLETED)
+    if not task.done():
+        task.cancel()
+        await asyncio.wait({task})
+    elif not task.cancelled():
+        task.result()
+
+
+class _signals:
+    """SIGTERM and SIGINT end the service in order while this is entered."""
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        self._stop = stop
+        self._loop = asyncio.get_running_loop()
+
+    def __enter__(self) -> None:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            with suppress(NotImplementedError, RuntimeError, ValueError):
+                self._loop.add_signal_handler(number, self._stop)
+
+    def __exit__(self, *error: object) -> None:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            with suppress(NotImplementedError, RuntimeError, ValueError):
+                self._loop.remove_signal_handler(number)
+
+
+def _host(host: str) -> str:
+    return f"[{host}]" if ":" in host else host

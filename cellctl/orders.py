@@ -148,6 +148,10 @@ class OrderBook:
         """The order that was running when the service ended without unwinding it, if any."""
         return next((order for order in self.all() if order.ending is None), None)
 
+    async def give_up(self, order: Order) -> None:
+        """Write down that an interrupted order was ended by nobody."""
+        await self._ended(order.run_id, RunEnd("aborted", Outcome("held", ("the service ended during the run",))))
+
     def _known(self, wanted: Wanted, key: str | None) -> Order | None:
         if key is not None:
             for order in self._orders.values():

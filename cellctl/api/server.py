@@ -67,6 +67,10 @@ class Server(uvicorn.Server):
         await super().startup(sockets)
         self.listening.set()
 
+    async def serve_on(self, sock: socket.socket) -> None:
+        """Serve on a socket that is bound already, so that a port in use is an error of the caller's own."""
+        await self.serve(sockets=[sock])
+
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         """Signals stay with who owns the process."""
@@ -83,13 +87,24 @@ class Server(uvicorn.Server):
         return int(address[1])
 
 
-def make_server(app: FastAPI, *, host: str, port: int, wall_s: float) -> Server:
+def bound(host: str, port: int) -> socket.socket:
+    """A socket bound to that address. Raises OSError where it is taken."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    sock = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((host, port))
+    except OSError:
+        sock.close()
+        raise
+    return sock
+
+
+def make_server(app: FastAPI, *, wall_s: float) -> Server:
     """A server for `app`. `wall_s` is how many seconds of the loop's time one second of the wall lasts."""
     protocol = type("DeadlineProtocol", (_DeadlineProtocol,), {"header_limit_s": HEADER_LIMIT_S * wall_s})
     config = uvicorn.Config(
         app,
-        host=host,
-        port=port,
         http=protocol,
         ws="none",
         lifespan="off",

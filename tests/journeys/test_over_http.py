@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from cellctl.api.schemas import JobOrderRequest
-from cellctl.api.server import Server, make_server
+from cellctl.api.server import Server, bound, make_server
 from cellctl.client import CellClient, ClientError
 from hal.clock import QuickenedLoop
 from tests.api.harness import ORDER, TOKEN, Api, api
@@ -46,8 +46,8 @@ class Served:
 @asynccontextmanager
 async def served(data: Path) -> AsyncIterator[Served]:
     async with api(data, wall_s=SPEED) as given:
-        server = make_server(given.app, host="127.0.0.1", port=0, wall_s=SPEED)
-        task = asyncio.create_task(server.serve())
+        server = make_server(given.app, wall_s=SPEED)
+        task = asyncio.create_task(server.serve_on(bound("127.0.0.1", 0)))
         await server.listening.wait()
         try:
             yield Served(given, server, server.port)
