@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from hal.errors import NotConnected
 from hal.fake.faults import FaultBook
+from hal.fake.motion import CLOCK_S
 from hal.fake.plant import Plant
 from hal.interfaces import ForceBlock, Identity, SafeState
 
@@ -35,6 +37,9 @@ class _Ahead:
     first: int
     samples_n: Array
     state: tuple[object, ...]
+    low_n: float
+    """Least and largest of the samples; NaN where one is NaN."""
+    high_n: float
 
 
 class FakeForceSensor:
@@ -49,6 +54,8 @@ class FakeForceSensor:
         self._start_s: float | None = None
         self._next = 0
         self._ahead: _Ahead | None = None
+        self._waiter: asyncio.Future[bool] | None = None
+        self._unsubscribe: Callable[[], None] | None = None
         self._seed = int(plant.rng(name, "noise").integers(2**63))
 
     @property
@@ -72,11 +79,14 @@ class FakeForceSensor:
         if self._start_s is None:
             self._start_s = asyncio.get_running_loop().time()
             self._next, self._ahead = 0, None
+            self._unsubscribe = self._plant.subscribe(self._wake)
         return Identity("cellctl", "load cell", f"{self._name}-1", "1.0", simulated=True)
 
     async def close(self) -> None:
         """Drop the link."""
-        self._start_s = None
+        if self._unsubscribe is not None:
+            self._unsubscribe()
+        self._start_s = self._unsubscribe = None
 
     async def halt(self) -> None:
         """Nothing moves here; the exchange proves that the amplifier answers."""
@@ -100,25 +110,19 @@ class FakeForceSensor:
             first = self._next = first + max(1, int(BUFFER_S * self._rate_hz))
         parts: list[Array] = []
         have, done = 0, False
-        changed = asyncio.Event()
-        unsubscribe = self._plant.subscribe(changed.set)
-        try:
-            while not done:
-                changed.clear()
-                samples = self._samples(first + have, count - have, start_s)
-                stop = _first_outside(samples, low_n, high_n)
-                done = have + len(samples) >= count or stop < len(samples)
-                wanted = samples[: stop + 1]
-                if await self._until(start_s + (first + have + len(wanted) - 1) / self._rate_hz, changed):
-                    # The motion has changed: what had been taken by now stays, the rest is computed anew.
-                    taken = math.floor((asyncio.get_running_loop().time() - start_s) * self._rate_hz + 1e-6)
-                    kept = max(taken + 1 - (first + have), 0)
-                    done = done and kept >= len(wanted)
-                    wanted = wanted[:kept]
-                parts.append(wanted)
-                have += len(wanted)
-        finally:
-            unsubscribe()
+        while not done:
+            samples = self._samples(first + have, count - have, start_s)
+            stop = self._first_outside(samples, low_n, high_n)
+            done = have + len(samples) >= count or stop < len(samples)
+            wanted = samples[: stop + 1]
+            if await self._until(start_s + (first + have + len(wanted) - 1) / self._rate_hz):
+                # The motion has changed: what had been taken by now stays, the rest is computed anew.
+                taken = math.floor((asyncio.get_running_loop().time() - start_s) * self._rate_hz + 1e-6)
+                kept = max(taken + 1 - (first + have), 0)
+                done = done and kept >= len(wanted)
+                wanted = wanted[:kept]
+            parts.append(wanted)
+            have += len(wanted)
         self._next = first + have
         values = parts[0] if len(parts) == 1 else np.concatenate(parts)
         return ForceBlock(first, start_s + first / self._rate_hz, 1.0 / self._rate_hz, values)
@@ -137,24 +141,27 @@ class FakeForceSensor:
             self._next = newest
         return self._next
 
-    async def _until(self, when_s: float, changed: asyncio.Event) -> bool:
-        """Sleep until `when_s`; true when the plant's motion changed before."""
+    async def _until(self, when_s: float) -> bool:
+        """Sleep until `when_s`; true when the plant's motion or the sensor's faults changed before."""
         loop = asyncio.get_running_loop()
-        wake_s = when_s
-        while (now := loop.time()) < wake_s - 1e-9:
+        while (now := loop.time()) < when_s - CLOCK_S:
             edge_s = self._faults.next_change(self._name, now)
+            self._waiter = loop.create_future()
+            timer = loop.call_at(min(when_s, edge_s), self._wake, False)
             try:
-                async with asyncio.timeout_at(min(wake_s, edge_s)):
-                    await changed.wait()
-                return True
-            except TimeoutError:
-                if edge_s <= wake_s:
-                    self._ahead = None
+                if await self._waiter or edge_s <= when_s:
                     return True
+            finally:
+                timer.cancel()
+                self._waiter = None
         if self._faults.active(self._name, "stale", loop.time()):
             # Nothing new comes: the reader's own deadline ends this.
             await asyncio.sleep(max(self._faults.next_change(self._name, loop.time()) - loop.time(), 0.0))
         return False
+
+    def _wake(self, changed: bool = True) -> None:
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(changed)
 
     # ------------------------------------------------------------ samples
 
@@ -165,7 +172,8 @@ class FakeForceSensor:
         if ahead is None or ahead.state != state or not ahead.first <= first < ahead.first + len(ahead.samples_n):
             self._plant.advance(asyncio.get_running_loop().time())
             length = min(CHUNK, max(count, 64)) if self._lateral_moves() else CHUNK
-            ahead = _Ahead(first, self._read(first, length, start_s), self._state())
+            samples = self._read(first, length, start_s)
+            ahead = _Ahead(first, samples, self._state(), float(samples.min()), float(samples.max()))
             self._ahead = ahead
         at = first - ahead.first
         return ahead.samples_n[at : at + count]
@@ -207,11 +215,10 @@ class FakeForceSensor:
         at = first - chunks[0] * CHUNK
         return noise[at : at + count]
 
-
-def _first_outside(samples: Array, low_n: float, high_n: float) -> int:
-    """Index of the first sample outside [low, high], NaN included; the length where none is."""
-    if math.isinf(low_n) and math.isinf(high_n):
-        outside = np.isnan(samples)
-    else:
+    def _first_outside(self, samples: Array, low_n: float, high_n: float) -> int:
+        """Index of the first sample outside [low, high], NaN included; the length where none is."""
+        ahead = self._ahead
+        if ahead is not None and low_n <= ahead.low_n and ahead.high_n <= high_n:
+            return len(samples)
         outside = ~((samples >= low_n) & (samples <= high_n))
-    return int(np.argmax(outside)) if outside.any() else len(samples)
+        return int(np.argmax(outside)) if outside.any() else len(samples)

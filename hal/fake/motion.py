@@ -7,9 +7,10 @@ backlash, scale and encoder error. Units are the axis' own (mm or deg) and secon
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +31,11 @@ class Trajectory:
     positions: Array
     velocities: Array
     accelerations: Array
+    starts: tuple[float, ...] = field(init=False)
+    """`times` for looking up one."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "starts", tuple(self.times.tolist()))
 
     def _piece(self, time_s: ArrayLike) -> tuple[NDArray[np.intp], Array]:
         time = np.asarray(time_s, dtype=np.float64)
@@ -51,10 +57,17 @@ class Trajectory:
         """Acceleration per second squared, same shape as `time_s`."""
         return np.asarray(self.accelerations[self._piece(time_s)[0]])
 
+    def at(self, time_s: float) -> tuple[float, float, float]:
+        """Position, velocity and acceleration at one time."""
+        piece = max(bisect_right(self.starts, time_s) - 1, 0)
+        dt = max(time_s - self.starts[piece], 0.0)
+        x, v, a = float(self.positions[piece]), float(self.velocities[piece]), float(self.accelerations[piece])
+        return x + dt * (v + 0.5 * dt * a), v + dt * a, a
+
     @property
     def end_s(self) -> float:
         """When it stands for good."""
-        return float(self.times[-1])
+        return self.starts[-1]
 
     @property
     def target(self) -> float:
@@ -169,11 +182,19 @@ class AxisMotion:
 
     def position(self, now: float) -> float:
         """Motor position at `now`."""
-        return float(self.positions(np.array([now]))[0])
+        return self._then(now).at(now)[0]
 
     def velocity(self, now: float) -> float:
         """Motor velocity at `now`."""
-        return float(self.velocities(np.array([now]))[0])
+        return self._then(now).at(now)[1]
+
+    def _then(self, now: float) -> Trajectory:
+        found = self.now_at
+        if now < self._changed_s:
+            for until, trajectory in reversed(self._past):
+                if now < until:
+                    found = trajectory
+        return found
 
     def moving(self, now: float) -> bool:
         """Whether the profile is still running at `now`."""

@@ -124,10 +124,9 @@ class Plant:
         before, self.now = self.now, now
         self._collide(before)
         jack = self.motion["jack"]
-        ends = jack.positions(np.array([before, now]))
-        if not self._reaches(float(ends.max())):
+        low, high = sorted((jack.position(before), jack.position(now)))
+        if not self._reaches(high):
             return
-        low, high = float(ends.min()), float(ends.max())
         dock = self.dock()
         moving = high > low
         curve = self.engagement.curve(dock) if moving else self.engagement.near(dock, high)
@@ -145,13 +144,16 @@ class Plant:
 
     def _collide(self, before: float) -> None:
         """Things that may not share a volume, looked at over [before, now]."""
-        span = np.linspace(before, self.now, 9)
-        if self.camera != "parked" and self.motion["jack"].positions(span).max() > self.bench.camera_clear_height_mm:
-            self.damage("the shaft hit the camera's arm")
+        if self.camera != "parked":
+            jack = self.motion["jack"]
+            if max(jack.position(before), jack.position(self.now)) > self.bench.camera_clear_height_mm:
+                self.damage("the shaft hit the camera's arm")
         table, feed = self.motion["gun_table"], self.motion["gun_feed"]
-        out = feed.positions(span) > self.bench.gun_clear_feed_mm
-        if np.any(out & (np.abs(table.velocities(span)) > 0.0)):
-            self.damage("the guns turned into the nuts")
+        if table.moving(before):
+            span = np.linspace(before, self.now, 9)
+            out = feed.positions(span) > self.bench.gun_clear_feed_mm
+            if np.any(out & (np.abs(table.velocities(span)) > 0.0)):
+                self.damage("the guns turned into the nuts")
 
     def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` whenever a motion changes; returns what ends that."""
