@@ -153,6 +153,10 @@ class InLoopGuard:
             self._task.cancel()
             await asyncio.wait({self._task})
 
+    @property
+    def _wanted(self) -> bool:
+        return self._armed or any(not window.done.done() for window in self._windows)
+
     def _start(self) -> None:
         if self._task is None or self._task.done():
             self._watch = replace(self._watch, next_sequence=None)
@@ -162,7 +166,7 @@ class InLoopGuard:
 
     def _go_on(self, ended: asyncio.Task[None]) -> None:
         """Read again where somebody asked just when reading was being ended."""
-        if ended is self._task and self._trip is None and (self._armed or self._windows):
+        if ended is self._task and self._trip is None and self._wanted:
             self._start()
 
     async def _settle(self) -> None:
@@ -170,10 +174,9 @@ class InLoopGuard:
         task = self._task
         if task is None or task.done():
             return
-        wanted = self._armed or bool(self._windows)
-        if not self._acting and not wanted:
+        if not self._acting and not self._wanted:
             task.cancel()
-        if self._acting or not wanted:
+        if self._acting or not self._wanted:
             await asyncio.wait({task})
 
     async def _read(self) -> None:
@@ -193,7 +196,7 @@ class InLoopGuard:
     async def _until_trip(self) -> Trip | None:
         loop, sensor = asyncio.get_running_loop(), self._sensor
         async with asyncio.timeout(None) as silence:
-            while self._armed or self._windows:
+            while self._wanted:
                 limits = self._watch.limits if self._armed else _NO_LIMITS
                 count = limits.block if self._armed else min(self._idle_block, max(w.wanted for w in self._windows))
                 stale_s = limits.stale_ms * 1e-3 if self._armed else self._idle_stale_s
