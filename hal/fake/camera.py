@@ -80,7 +80,7 @@ class ScanErrors:
     correlation_px: float = 3.0
     """Distance at which the noise's correlation has fallen to 1/e; 0 for white noise."""
     ripple_mm: float = 0.010
-    """Amplitude along the ray of the long-wave fringe error."""
+    """One sigma over the picture of the long-wave fringe error along the ray: a sine of sqrt(2) times this."""
     ripple_wavelength_mm: float = 62.0
     ripple_angle_deg: float = 20.0
     ripple_phase_deg: float = 0.0

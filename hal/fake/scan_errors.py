@@ -86,7 +86,7 @@ def _ripple(hits: HitBuffer, depth: Array, errors: ScanErrors) -> Array | float:
     angle = np.radians(errors.ripple_angle_deg)
     across = (hits.u * np.cos(angle) + hits.v * np.sin(angle)) * depth
     phase = 2.0 * np.pi * across / errors.ripple_wavelength_mm + np.radians(errors.ripple_phase_deg)
-    return np.asarray(errors.ripple_mm * np.sin(phase))
+    return np.asarray(np.sqrt(2.0) * errors.ripple_mm * np.sin(phase))
 
 
 def _fly(hits: HitBuffer, depth: Array, errors: ScanErrors, rng: np.random.Generator) -> None:

@@ -58,8 +58,9 @@ def test_scale_stretches_the_cloud_and_ripple_waves_along_the_ray() -> None:
     true, seen_cloud = render(replace(state, errors=IDEAL), 1), render(state, 1)
     np.testing.assert_allclose(seen_cloud, true * np.float32(1.001), rtol=1e-6)
     ripple = along_ray(plate(replace(IDEAL, ripple_mm=0.02, ripple_angle_deg=0.0, ripple_wavelength_mm=50.0)))
-    assert np.nanmax(ripple) == pytest.approx(0.02, abs=1e-4)
-    assert np.nanmin(ripple) == pytest.approx(-0.02, abs=1e-4)
+    assert np.nanmax(ripple) == pytest.approx(0.02 * 2.0**0.5, abs=1e-4)
+    assert np.nanmin(ripple) == pytest.approx(-0.02 * 2.0**0.5, abs=1e-4)
+    assert np.nanstd(ripple) == pytest.approx(0.02, rel=0.05)
     row = ripple[200][np.isfinite(ripple[200])]
     pitch_mm = 330.0 / 399.0
     turns = np.count_nonzero(np.diff(np.sign(row))) / 2.0
