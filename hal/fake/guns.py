@@ -143,8 +143,8 @@ def joints_of(plant: Plant) -> Joints:
     return plant.joints
 
 
-def install_joints(plant: Plant) -> Joints:
+def install_joints(plant: Plant, *, nuts_by_hand: bool = False) -> Joints:
     """Give the plant its nuts and guns; returns them."""
-    joints = Joints(plant)
+    joints = Joints(plant, nuts_by_hand=nuts_by_hand)
     plant.joints = joints
     return joints

@@ -1,5 +1,7 @@
 """The plant's nuts and guns: what is on each stud, what each socket does to it. Advanced lazily.
 
+How fakes and the plant's owner use it::
+
     joints.load_nut("a"); joints.socket_has_nut("a")         # the nut feeder
     joints.force_n("a", times_s)                              # contact force sensor of a gun
     joints.plan_turn("a", 720.0, 6.0, now) -> Turn; joints.apply("a", turn)
@@ -27,6 +29,10 @@ from hal.interfaces import Band, TighteningProgram, TighteningResult
 Array = NDArray[np.float64]
 
 
+BY_HAND_GAP_MM = 0.5
+"""The operator comes when the faces are together."""
+
+
 @dataclass(frozen=True, slots=True)
 class Turn:
     """What a slow turn does: spindle angle (signed), largest torque, and the state after it."""
@@ -43,44 +49,52 @@ class Turn:
 class Joints:
     """Nuts and guns of one plant."""
 
-    def __init__(self, plant: Plant, bench: GunBench | None = None, gun: GunProperties | None = None) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        bench: GunBench | None = None,
+        gun: GunProperties | None = None,
+        *,
+        nuts_by_hand: bool = False,
+    ) -> None:
+        """With `nuts_by_hand` an operator puts a nut on every stud, two turns deep, once the studs are through."""
         self.bench = bench or GunBench()
         self.gun = gun or GunProperties()
         self._plant = plant
         self.guns: dict[str, GunMemory] = {"a": GunMemory("a"), "b": GunMemory("b")}
+        self._nuts_by_hand = nuts_by_hand
         self.nuts = Nuts(plant)
         self.properties = self.nuts.properties
 
-    def _follow_parts(self) -> None:
+    def _renew(self) -> None:
         """Other parts come with bare studs and empty sockets."""
         if self.nuts.shaft is not self._plant.shaft:
             self.nuts = Nuts(self._plant)
             for memory in self.guns.values():
                 memory.nut_in_socket = memory.reversed_on_stud = False
 
+    def _follow_parts(self) -> None:
+        """As `_renew`, and the operator's nuts where they are due."""
+        self._renew()
+        if self._nuts_by_hand and not self.nuts.started_by_hand and self._plant.gap_mm() < BY_HAND_GAP_MM:
+            self.nuts.start_by_hand()
+
     # ------------------------------------------------------------ truth
 
     def preload_n(self) -> Array:
         """(n,) present preload of each stud."""
-        self._follow_parts()
+        self._renew()
         return self.nuts.preload_n()
 
     def yielded(self) -> NDArray[np.bool_]:
         """(n,) studs beyond yield, threads stripped or crossed."""
-        self._follow_parts()
+        self._renew()
         return self.nuts.yielded()
 
     def plant_error(self, joint: int, error: Error) -> None:
         """Plant an error in one joint; it strikes when the gun comes to it."""
         self._follow_parts()
         self.nuts.planted.setdefault(joint, set()).add(error)
-
-    def start_by_hand(self) -> None:
-        """An operator has put a nut on every bare stud, two turns deep."""
-        self._follow_parts()
-        for joint, nut in enumerate(self.nuts.state):
-            if not nut.present:
-                self.nuts.put(joint, self.nuts.fresh(joint, 2.0 * self.properties.pitch_mm))
 
     # ------------------------------------------------------------ sockets
 

@@ -37,6 +37,7 @@ class Nuts:
         self._loss = interaction(self.properties, plant.rotor.stud_mm)
         self._difference_k = 0.0
         self._slipped_deg = 0.0
+        self.started_by_hand = False
 
     def preload_n(self) -> Array:
         """(n,) present preload of each stud."""
@@ -74,6 +75,13 @@ class Nuts:
         friction = float(np.exp(scatter * self.rng("nut", joint).standard_normal()))
         washer = "missing_washer" not in self.planted.get(joint, ())
         return NutState(present=True, washer=washer, climb_mm=climb_mm, friction=friction)
+
+    def start_by_hand(self) -> None:
+        """An operator puts a nut on every bare stud, two turns deep."""
+        self.started_by_hand = True
+        for joint, nut in enumerate(self.state):
+            if not nut.present:
+                self.put(joint, self.fresh(joint, 2.0 * self.properties.pitch_mm))
 
     def struck(self, joint: int) -> NutState:
         """The nut, with the errors that were planted in it."""

@@ -66,7 +66,10 @@ def at_rest(properties: ThermalProperties) -> Zones:
 
 
 def interference_mm(properties: ThermalProperties, zones: Zones) -> float:
-    """Present diametral interference: I_20 - alpha D (T_bore - T_male); the heated member has the bore. Negative: open."""
+    """Present diametral interference I_20 - alpha D (T_bore - T_male); negative is clearance.
+
+    The heated member has the bore.
+    """
     difference = zones.shaft_rim_c - zones.rotor_rim_c
     if properties.heated == "rotor":
         difference = -difference
