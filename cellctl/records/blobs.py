@@ -142,15 +142,29 @@ def dropped_by(keep: Keep, rows: tuple[Row, ...]) -> frozenset[str]:
     latest: dict[str, str] = {}
     decided: set[str] = set()
     for row in rows:
-        if row.kind == "blob" and is_scan(row.value["kind"]):
-            value = row.value
-            scans.add(value["blob"])
-            latest[value["kind"]] = value["blob"]
-        elif row.kind in DECISIONS:
+        for kind, digest in scans_of(row):
+            scans.add(digest)
+            latest[kind] = digest
+        if row.kind in DECISIONS:
             decided.add(latest.get(DECISIONS[row.kind].format(row.value.get("side")), ""))
     if keep == "all":
         return frozenset()
     return frozenset(scans - decided if keep == "decision" else scans)
+
+
+def scans_of(row: Row) -> tuple[tuple[str, str], ...]:
+    """Kind ("scan_VIEW") and hash of each cloud that a row names: a scanner's result, or a blob noted as a scan."""
+    if row.kind == "blob":
+        value = row.value
+        return ((value["kind"], value["blob"]),) if is_scan(value["kind"]) else ()
+    if row.kind != "result" or '"blob"' not in row.payload:
+        return ()
+    value = row.value
+    result = value.get("result")
+    if not is_scan(str(value.get("device"))) or not isinstance(result, dict):
+        return ()
+    named = [item["blob"] for item in result.values() if isinstance(item, dict) and "blob" in item]
+    return tuple((f"scan_{result.get('view')}", str(digest)) for digest in named)
 
 
 DECISIONS = MappingProxyType({"measurement": "scan_{}", "artefact": "scan_artefact_{}"})

@@ -109,7 +109,7 @@ class Journal:
             return
         self._closed = True
         try:
-            await asyncio.shield(asyncio.get_running_loop().run_in_executor(self._executor, self._database.close))
+            await asyncio.shield(asyncio.get_running_loop().run_in_executor(self._executor, _close, self._database))
         finally:
             self._executor.shutdown(wait=True)
 
@@ -187,6 +187,13 @@ def _open(path: Path | None) -> tuple[sqlite3.Connection, Row | None]:
         if isinstance(error, sqlite3.DatabaseError):
             raise RecordCorrupt(f"{path} is not a journal: {error}") from None
         raise
+
+
+def _close(database: sqlite3.Connection) -> None:
+    """A journal at rest is one file: readers of an ended run need no write-ahead log beside it."""
+    with contextlib.suppress(sqlite3.Error):  # someone is reading: the log stays, and nothing is lost
+        database.execute("PRAGMA journal_mode=DELETE")
+    database.close()
 
 
 def _prepare(database: sqlite3.Connection, path: Path | None) -> Row | None:

@@ -32,6 +32,12 @@ def test_rows_carry_time_kind_payload_and_chain(tmp_path: Path) -> None:
     assert rows[-1].hash == head == head_of(rows)
 
 
+def test_a_closed_journal_is_one_file_though_it_is_read(tmp_path: Path) -> None:
+    run_virtual(written(tmp_path / "j.sqlite"))
+    assert len(read_rows(tmp_path / "j.sqlite")) == 5
+    assert [path.name for path in tmp_path.iterdir()] == ["j.sqlite"]
+
+
 def test_file_and_memory_give_the_same_hash(tmp_path: Path) -> None:
     assert run_virtual(written(tmp_path / "j.sqlite")) == run_virtual(written(None))
     assert run_virtual(written(None, 4)) != run_virtual(written(None, 5))

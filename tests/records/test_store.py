@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cellctl.records.blobs import Keep
+from cellctl.records.blobs import Keep, scans_of
 from cellctl.records.errors import JournalUnavailable, RecordCorrupt, UnknownRun
 from cellctl.records.seal import read_public
 from cellctl.records.store import RunStore
@@ -134,7 +134,7 @@ def test_a_blob_is_served_by_its_hash_only(tmp_path: Path) -> None:
     run_virtual(stored(tmp_path))
     store = RunStore(tmp_path)
     rows = run_virtual(store.rows("run-1"))
-    digest = next(row.value["blob"] for row in rows if row.kind == "blob")
+    digest = next(digest for row in rows for _, digest in scans_of(row))
     assert run_virtual(store.blob("run-1", digest))["points_mm"].shape == (20, 30, 3)
     with pytest.raises(RecordCorrupt):
         run_virtual(store.blob("run-1", "../../keys/cell_ed25519"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from cellctl.records.journal import Journal
 from cellctl.records.ledger import JournalLedger
 from cellctl.records.summary import RunHeader
 from cellctl.stamps import VirtualStamps
-from hal.interfaces import Identity
+from hal.interfaces import Frame, Identity, View
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,12 @@ def header(run_id: str = "run-1") -> RunHeader:
     )
 
 
+async def captured(seed: int, view: View, key: str) -> Frame:
+    """A small cloud of noise."""
+    points = np.random.default_rng(seed).normal(size=(20, 30, 3)).astype(np.float32)
+    return Frame(frame_id=seed, view=view, time_s=0.0, points_mm=points)
+
+
 async def small_run(ledger: JournalLedger, *, verdict: str = "accepted") -> None:
     """Rows of a short run, from the scan to the verdict."""
 
@@ -94,8 +101,7 @@ async def small_run(ledger: JournalLedger, *, verdict: str = "accepted") -> None
         return {"torque_nm": 36.0}
 
     for seed, view in enumerate(("rotor", "rotor", "shaft")):
-        points = np.random.default_rng(seed).normal(size=(20, 30, 3)).astype(np.float32)
-        await ledger.blob(f"scan_{view}", {"points_mm": points})
+        await ledger.act("scanner", "capture", {"view": view}, partial(captured, seed, view))
         await asyncio.sleep(1.0)
     await ledger.note("measurement", {"side": "rotor"})
     await ledger.note("phase_scan", None)
