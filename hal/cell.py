@@ -9,15 +9,13 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from hal.config import AxisEntry, CellConfig, Devices, ForceEntry
+from hal.config import CellConfig, Devices
 from hal.errors import DeviceError, DeviceTimeout, SafetyOpen
 from hal.guard.inloop import InLoopGuard
 from hal.interfaces import (
     Axis,
-    AxisLimits,
     CameraPark,
     Chuck,
     Device,
@@ -34,7 +32,7 @@ from hal.interfaces import (
     Thermometer,
 )
 from hal.latch import Latch
-from hal.permits import AxisName, PermitLimits, safety_refusal
+from hal.permits import AXES, AxisName, PermitLimits, safety_refusal
 from hal.permitted import (
     Permits,
     PermittedAxis,
@@ -164,20 +162,15 @@ class Cell:
             return safety_refusal(None)
 
 
-AXIS_UNITS: Mapping[AxisName, Literal["mm", "deg"]] = MappingProxyType(
-    {"stage_x": "mm", "stage_y": "mm", "jack": "mm", "shaft_table": "deg", "gun_table": "deg", "gun_feed": "mm"}
-)
-
-
 def build_cell(config: CellConfig, *, plant: Plant, faults: FaultBook, render: Render) -> Cell:
     """The cell of `config`, not connected. Fakes stand on `plant` and fail as `faults` says; `render` computes clouds.
 
     Nothing here starts a task or talks to a device.
     """
-    axes: dict[AxisName, Axis] = {
-        name: _axis(name, getattr(config.devices, name), plant, faults) for name in AXIS_UNITS
-    }
-    bare = _fakes(config, plant, faults, render)
+    from hal.fake.devices import fake_devices
+
+    bare = fake_devices(config, plant, faults, render)
+    axes: dict[AxisName, Axis] = {name: bare[name] for name in AXES}
     latch, delays, envelope = Latch(), config.guard, config.envelope
     guard = InLoopGuard(
         bare["jack_force"],
@@ -208,51 +201,6 @@ def build_cell(config: CellConfig, *, plant: Plant, faults: FaultBook, render: R
         "nut_feeder": PermittedNutFeeder(bare["nut_feeder"], permits),
     }
     return Cell(guard=guard, latch=latch, **(bare | permitted))
-
-
-def _axis(name: AxisName, entry: AxisEntry, plant: Plant, faults: FaultBook) -> Axis:
-    from hal.fake.axes import FakeAxis
-
-    limits = AxisLimits(entry.low, entry.high, entry.max_speed, entry.max_acceleration)
-    return FakeAxis(name, AXIS_UNITS[name], limits, plant, faults)
-
-
-def _fakes(config: CellConfig, plant: Plant, faults: FaultBook, render: Render) -> dict[str, Any]:
-    """All devices but the axes, by name."""
-    from hal.fake.camera_park import FakeCameraPark
-    from hal.fake.force import FakeForceSensor
-    from hal.fake.gun_force import FakeGunForce
-    from hal.fake.guns import FakeGun
-    from hal.fake.heating import FakeHeater, FakeThermometer
-    from hal.fake.io import FakeChuck, FakeGapProbe, FakeSafety
-    from hal.fake.scanner import FakeScanner
-    from hal.fake.supply import FakeNutFeeder, FakePartStation
-
-    def gun_force(name: str, entry: ForceEntry) -> ForceSensor:
-        return FakeGunForce(name, plant, faults, entry.rate_hz, entry.range_n)
-
-    entries = config.devices
-    jack_force = entries.jack_force
-    return {
-        **{name: FakeGun(name, plant, faults) for name in ("gun_a", "gun_b")},
-        "jack_force": FakeForceSensor(
-            "jack_force", plant, faults, rate_hz=jack_force.rate_hz, range_n=jack_force.range_n
-        ),
-        "gun_force_a": gun_force("gun_force_a", entries.gun_force_a),
-        "gun_force_b": gun_force("gun_force_b", entries.gun_force_b),
-        **{
-            name: FakeThermometer(name, plant, faults)
-            for name in ("spigot_tc_1", "spigot_tc_2", "pyrometer", "rotor_tc")
-        },
-        "heater": FakeHeater("heater", plant, faults, entries.heater.max_power_w),
-        "chuck": FakeChuck("chuck", plant, faults),
-        "camera_park": FakeCameraPark("camera_park", plant, faults),
-        "nut_feeder": FakeNutFeeder("nut_feeder", plant, faults),
-        **{name: FakeGapProbe(name, plant, faults) for name in ("gap_probe_1", "gap_probe_2", "gap_probe_3")},
-        "safety": FakeSafety("safety", plant, faults),
-        "part_station": FakePartStation("part_station", plant, faults),
-        "scanner": FakeScanner(plant, faults, render, points=config.twin.points),
-    }
 
 
 async def _all(action: str, devices: Iterable[Device], do: Callable[[Device], Awaitable[T]]) -> dict[str, T]:

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, get_args
 
 from hal.interfaces import AxisState, ChuckState, ParkState, SafetyState
 
 AxisName = Literal["stage_x", "stage_y", "jack", "shaft_table", "gun_table", "gun_feed"]
+AXES: tuple[AxisName, ...] = get_args(AxisName)
 Target = float | Literal["home"]
 
 

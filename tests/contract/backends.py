@@ -15,6 +15,8 @@ from hal.fake.levels import Level
 from hal.fake.plant import Plant, TwinSettings
 from tests.contract.fakes import fake_device
 
+OPEN_FIT = {"fit_interference_mm": -0.2}
+"""The spigot has play, so that the faces meet where the jack brings them."""
 COUNT = 12
 """Studs of the joint that the cases work on."""
 
@@ -47,7 +49,7 @@ class FakeBackend:
     async def bench(
         self, device: str, *faults: Fault, connect: bool = True, level: Level = "ideal"
     ) -> AsyncIterator[Bench]:
-        plant = Plant(JointGeometry(tuple(360.0 * i / COUNT for i in range(COUNT))), TwinSettings(3, level))
+        plant = Plant(JointGeometry(tuple(360.0 * i / COUNT for i in range(COUNT))), TwinSettings(3, level, OPEN_FIT))
         book = FaultBook(faults)
         made = fake_device(device, plant, book)
         if connect:
