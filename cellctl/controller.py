@@ -15,7 +15,7 @@ from typing import Any
 
 from cellctl.alarms import Alarm, AlarmBoard
 from cellctl.event_log import EventLog
-from cellctl.failures import Failure, failure_of
+from cellctl.failures import INTERNAL_ERROR, Failure, failure_of
 from cellctl.gate import Gate
 from cellctl.halting import prove_safe
 from cellctl.session import Ending, Outcome, RunEnd, SafeCell, Session
@@ -187,8 +187,10 @@ class Controller:
             outcome = await session.execute(self._gate, self)
             await self._gate()  # a hold that was asked for after the last checkpoint
         except Exception as error:
-            _log.warning("run %s ended: %s", session.run_id, error, exc_info=error)
-            self._fail(failure_of(error))
+            failure = failure_of(error)
+            foreseen = failure.code != INTERNAL_ERROR
+            _log.log(logging.INFO if foreseen else logging.ERROR, "run %s: %s", session.run_id, error, exc_info=error)
+            self._fail(failure)
             return
         task = asyncio.current_task()
         if task is not None and task.cancelling():
@@ -292,11 +294,13 @@ class Controller:
         if self._closing is None:
             self._closing = self._spawn(session.close(end))
         closing = self._closing
+        grave = end.ending == "complete"  # nothing is complete without its record
         await asyncio.wait({closing}, timeout=CLOSE_LIMIT_S)
         if not closing.done():
             self._alarms.set("record_open", "the record was not closed in time", latched=True)
         elif not closing.cancelled() and (error := closing.exception()) is not None:
-            self._alarms.set("record_failed", f"the record was not closed: {error}", latched=True)
+            _log.error("the record of run %s was not closed", session.run_id, exc_info=error)
+            self._alarms.set("record_failed", f"the record was not closed: {error}", latched=grave)
 
     # ------------------------------------------------------------ back to work
 

@@ -9,6 +9,8 @@ from cellctl.ports import RunHeld
 from cellctl.vision.part import Refused
 from hal.errors import CellError, SafetyError
 
+INTERNAL_ERROR = "internal_error"
+
 
 @dataclass(frozen=True, slots=True)
 class Failure:
@@ -27,4 +29,4 @@ def failure_of(error: Exception) -> Failure:
         return Failure("hold", error.code, str(error))
     if isinstance(error, RunHeld | Refused):
         return Failure("hold", error.code, error.reason)
-    return Failure("abort", "internal_error", f"{type(error).__name__}: {error}")
+    return Failure("abort", INTERNAL_ERROR, f"{type(error).__name__}: {error}")

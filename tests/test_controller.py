@@ -10,7 +10,7 @@ import pytest
 
 from cellctl.controller import Controller
 from cellctl.ports import Checkpoint, Progress, RunHeld
-from cellctl.session import Outcome
+from cellctl.session import Outcome, RunEnd
 from cellctl.states import Command, Refused, State
 from hal.clock import run_virtual
 from hal.errors import DeviceTimeout, SafetyOpen
@@ -391,5 +391,22 @@ def test_random_stops(seed: int) -> None:
         await asyncio.sleep(60)
         assert cell.commands == sent
         await no_task_is_left()
+
+    run_virtual(main())
+
+
+@pytest.mark.parametrize(("command", "state"), [(Command.STOP, State.STOPPED), (None, State.ABORTED)])
+def test_nothing_is_complete_without_its_record(command: Command | None, state: State) -> None:
+    class Unsealed(DoubleSession):
+        async def close(self, end: RunEnd) -> None:
+            raise OSError("no space left on device")
+
+    async def main() -> None:
+        controller = await started(Unsealed(DoubleCell(), five_phases))
+        await controller.until(State.EXECUTE)
+        if command is not None:
+            controller.request(command)
+        assert await controller.until(State.COMPLETE, State.STOPPED, State.ABORTED) is state
+        assert [alarm.code for alarm in controller.snapshot().alarms] == ["record_failed"]
 
     run_virtual(main())
