@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from types import TracebackType
 from typing import Any, Protocol, Self, TypeVar
 
@@ -43,12 +44,14 @@ class InlineJobs:
 class ProcessJobs:
     """One worker process at low priority, and a warm spare that takes over when it dies, is late or is interrupted.
 
-    Jobs run one after the other. While one is in flight a quickened clock stands still; `deadline_s` is wall time.
+    Jobs run one after the other. While one is in flight a quickened clock stands still, unless `stops_clock` is false
+    (for work that is no part of what the cell does); `deadline_s` is wall time.
     `modules` are imported before the first job comes. Use it as ``async with``, or `start` and `close` it.
     """
 
-    def __init__(self, *, deadline_s: float = 60.0, modules: tuple[str, ...] = ()) -> None:
+    def __init__(self, *, deadline_s: float = 60.0, modules: tuple[str, ...] = (), stops_clock: bool = True) -> None:
         self._deadline_s = deadline_s
+        self._stops_clock = stops_clock
         self._modules = modules
         self._turn = asyncio.Lock()
         # One thread does everything that blocks, so that workers are never touched from two sides.
@@ -86,7 +89,7 @@ class ProcessJobs:
 
     async def run(self, func: Callable[..., T], *args: Any, latency_s: float) -> T:
         """See `Jobs.run`. A cancelled job is killed with its worker, so that it holds up no other."""
-        with standing_still():
+        with standing_still() if self._stops_clock else nullcontext():
             async with self._turn:
                 if self._closed:
                     raise WorkerError("the workers are closed")
