@@ -60,6 +60,7 @@ class Pattern(Section):
     circle_diameter_mm: Mm = Field(gt=0, le=2000)
     angles_deg: Literal["equal"] | tuple[Deg, ...] = "equal"
     index_feature: int | None = Field(default=None, ge=0)
+    position_tolerance_mm: Mm = Field(default=0.06, gt=0, description="diameter of the tolerance zone, ISO 1101")
 
     @model_validator(mode="after")
     def _whole(self) -> Pattern:
@@ -111,7 +112,7 @@ class Scan(Section):
     min_points_per_feature: int = Field(default=60, ge=4)
     max_retakes: int = Field(default=2, ge=0, le=10)
     outlier_removal: Literal["none", "one_sided", "two_sided"] = "none"
-    artefact_gate_mm: Mm = Field(default=0.06, gt=0)
+    artefact_gate_mm: Mm = Field(default=0.1, gt=0)
 
 
 class Align(Section):

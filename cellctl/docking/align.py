@@ -19,6 +19,7 @@ from cellctl.docking.joint import (
     seat,
     shaft_face_at,
 )
+from cellctl.docking.prior import believed
 from cellctl.docking.type_b import type_b
 from cellctl.kinematics import Array, AxesPosition
 from cellctl.vision.match import FaceMatch, HoleMatch, match_faces, match_holes, pairings, polish
@@ -39,7 +40,9 @@ def align(
     (features_missing, wrong_part, frames_disagree, out_of_range) where there is nothing to align.
     """
     _require(rotor, shaft, spec)
-    joint, target = _least_squares(rotor, shaft, calibration, measured_at, spec)
+    seen, target = _least_squares(rotor, shaft, calibration, measured_at, spec)
+    type_a = _match(seen, calibration, target, 1.0).covariance
+    joint = _believed(rotor, shaft, seen.partner, calibration, measured_at, spec)
     target = _serve_the_worst(joint, calibration, target, spec)
     stations = spec.stations()
     passes = [offsets_at(joint, calibration, target, station) for station in stations]
@@ -47,11 +50,27 @@ def align(
         offsets_mm=np.stack([offsets for offsets, _ in passes]),
         growth_mm_per_k=_growth(joint, calibration, target, spec),
         jacobian=passes[-1][1],
-        rigid_covariance=type_b(joint, calibration, measured_at, target),
+        rigid_covariance=type_a + type_b(joint, calibration, measured_at, target),
         scatter_mm2=np.stack([_scatter(joint, station) for station in stations]),
         clearance_mm=spec.clearances(),
     )
-    return _result(belief, joint, calibration, measured_at, target, spec, rotor.clocking_free or shaft.clocking_free)
+    free = rotor.clocking_free or shaft.clocking_free
+    return _result(belief, joint, calibration, measured_at, target, spec, type_a, free)
+
+
+def _believed(
+    rotor: PartMeasurement,
+    shaft: PartMeasurement,
+    partner: tuple[int, ...],
+    calibration: Calibration,
+    measured_at: AxesPosition,
+    spec: AlignSpec,
+) -> Joint:
+    """The joint as it is believed to be, the drawing's position tolerance taken into account."""
+    mirrored = tuple(-angle for angle in spec.angles_deg)
+    rotor = believed(rotor, mirrored, spec.position_sigma_mm)
+    shaft = believed(shaft, spec.angles_deg, spec.position_sigma_mm)
+    return joint_of(rotor, shaft, partner, calibration, measured_at)
 
 
 def _require(rotor: PartMeasurement, shaft: PartMeasurement, spec: AlignSpec) -> None:
@@ -181,6 +200,7 @@ def _result(
     measured_at: AxesPosition,
     target: AxesPosition,
     spec: AlignSpec,
+    covariance_a: Array,
     clocking_free: bool,
 ) -> Alignment:
     cold_rng, hot_rng = np.random.default_rng(spec.seed).spawn(2)
@@ -199,9 +219,8 @@ def _result(
     faces = _faces(joint, calibration, apart, spec)
     match = _match(joint, calibration, target, float(belief.clearance_mm.min()))
     to_deg = np.diag([1.0, 1.0, 180.0 / np.pi])
-    type_a = to_deg @ match.covariance @ to_deg
-    b = to_deg @ belief.rigid_covariance @ to_deg
-    both = type_a + b
+    type_a = to_deg @ covariance_a @ to_deg
+    both = to_deg @ belief.rigid_covariance @ to_deg
     grown = seated.offsets_mm + spec.difference_k * belief.growth_mm_per_k
     return Alignment(
         x_mm=target.x_mm - measured_at.x_mm,
@@ -214,7 +233,7 @@ def _result(
         sigma_theta_deg=float(np.sqrt(both[2, 2])),
         sigma_xy_mm=float(np.sqrt(np.linalg.eigvalsh(both[:2, :2])[-1])),
         covariance_a=type_a,
-        covariance_b=b,
+        covariance_b=both - type_a,
         clearance_mm=clearance(belief.offsets_mm, belief.clearance_mm),
         clearance_hot_mm=clearance(grown, belief.clearance_mm),
         p_insert=cold.p_free,

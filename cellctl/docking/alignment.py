@@ -24,9 +24,9 @@ class Station:
 class AlignSpec:
     """Parameters of an alignment, from the recipe. Lengths in mm, temperatures differences in K.
 
-    `clearance_mm` is the radial clearance of each bolt. `stand_off_mm` is the gap between stud tip and hole at which
-    the shaft waits, and the h0 of eq. 23. `heated` grows; `expansion_per_k` is linear. The table may turn to
-    [theta_low_deg, theta_high_deg].
+    `clearance_mm` is the radial clearance of each bolt, `position_sigma_mm` the scatter of a feature's position per
+    axis. `stand_off_mm` is the gap between stud tip and hole at which the shaft waits, and the h0 of eq. 23.
+    `heated` grows; `expansion_per_k` is linear. The table may turn to [theta_low_deg, theta_high_deg].
     """
 
     angles_deg: tuple[float, ...]
@@ -43,6 +43,7 @@ class AlignSpec:
     interference_tolerance_mm: float = 0.0
     open_by_mm: float = 0.0
     spigot_diameter_mm: float | None = None
+    position_sigma_mm: float = 0.01
     force_limit_n: float = 10.0
     theta_low_deg: float = -180.0
     theta_high_deg: float = 180.0
@@ -125,6 +126,7 @@ def align_spec(recipe: Recipe, *, theta_low_deg: float = -180.0, theta_high_deg:
         interference_tolerance_mm=heat.fit_tolerance_mm,
         open_by_mm=heat.open_by_mm,
         spigot_diameter_mm=(shaft.spigot_diameter_mm if shaft else None),
+        position_sigma_mm=recipe.pattern.position_tolerance_mm / 6,
         force_limit_n=recipe.jack_up.force_limit_n,
         theta_low_deg=theta_low_deg,
         theta_high_deg=theta_high_deg,

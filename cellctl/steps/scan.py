@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Literal
 
 import numpy as np
@@ -87,8 +88,16 @@ async def measure(run: RunContext, side: Side) -> PartMeasurement:
 
 
 async def _capture(run: RunContext, view: View) -> Frame:
-    """The cloud itself goes with the command's result: the ledger stores it by content hash."""
-    return await run.ledger.act("scanner", "capture", {"view": view}, lambda key: run.devices.scanner.capture(view))
+    """A frame of this very view, taken after the command. Its cloud is stored by the ledger, by content hash."""
+    asked_at_s = asyncio.get_running_loop().time()
+    frame = await run.ledger.act("scanner", "capture", {"view": view}, lambda key: run.devices.scanner.capture(view))
+    if frame.view != view or frame.time_s < asked_at_s:
+        raise RunHeld(
+            "old_frame",
+            f"the scanner gave frame {frame.frame_id} of view {frame.view}, {asked_at_s - frame.time_s:.1f} s old, "
+            f"when asked for {view}",
+        )
+    return frame
 
 
 async def _present(run: RunContext) -> None:
