@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from cellctl.vision.geometry import Array, PlaneFrame
 from cellctl.vision.grid import Void, find_islands, find_voids, rasterise, spacing
 from cellctl.vision.holes import void_radii
 from cellctl.vision.part import Part, Refused
-from cellctl.vision.pattern import PatternPose, find_pattern, nominal
+from cellctl.vision.pattern import PatternPose, find_pattern, nominal, symmetry
 from cellctl.vision.plane import Plane, find_planes
 
 RANSAC_POINTS = 20_000
@@ -53,6 +53,8 @@ def find_face(points: Array, part: Part, eye: Array, reference: Array, rng: np.r
         # planes come largest first: a smaller one must show the pattern plainly better
         if face is not None and (best is None or face.pattern.score > best.pattern.score + 0.1 * part.count):
             best = face
+        if best is not None and best.pattern.matched == part.count and best.pattern.score > 0.9 * part.count:
+            break
     if best is None:
         raise refusal or Refused("features_missing", "no plane in view carries the nominal pattern")
     return best
@@ -61,7 +63,7 @@ def find_face(points: Array, part: Part, eye: Array, reference: Array, rng: np.r
 def _try_plane(points: Array, plane: Plane, part: Part, eye: Array, reference: Array) -> Face | None:
     """The plane with the pattern on it, None where no pattern shows."""
     toward = plane.normal if plane.residuals(eye) > 0.0 else -plane.normal
-    frame = PlaneFrame.on(plane.normal * plane.distance_mm, toward, reference)
+    frame = PlaneFrame.on(plane.normal * plane.distance_mm, toward)
     height = (points - frame.origin) @ toward
     on = np.abs(height) < 5.0 * plane.sigma_mm
     if np.count_nonzero(on) < 100:
@@ -79,6 +81,7 @@ def _try_plane(points: Array, plane: Plane, part: Part, eye: Array, reference: A
     pattern = find_pattern(part, positions, radii, scores, tolerance)
     if pattern is None or pattern.matched < max(3, int(np.ceil(0.5 * part.count))):
         return None
+    pattern = _nearest_to(pattern, frame, part, reference)
     return Face(plane, _pattern_frame(frame, pattern), space, _matched_radii(part, pattern, positions, radii), pattern)
 
 
@@ -112,6 +115,14 @@ def _studs(frame: PlaneFrame, points: Array, height: Array, part: Part, space: f
     size = part.thread.major_diameter_mm if part.thread else (part.diameter_mm or (0.03 * part.circle_diameter_mm,))[0]
     raster = rasterise(uv, max(space, 0.1 * size), margin_mm=size)
     return [void for void in find_islands(raster, least=6) if void.radius_mm < 1.5 * size]
+
+
+def _nearest_to(pattern: PatternPose, frame: PlaneFrame, part: Part, reference: Array) -> PatternPose:
+    """The same pose with the clocking, free by the pattern's symmetry, that lies nearest to the reference direction."""
+    u, v, _ = frame.axes @ reference
+    step = 2.0 * np.pi / symmetry(part)
+    turns = round((float(np.arctan2(v, u)) - pattern.clocking_rad) / step)
+    return replace(pattern, clocking_rad=pattern.clocking_rad + turns * step)
 
 
 def _pattern_frame(frame: PlaneFrame, pattern: PatternPose) -> PlaneFrame:

@@ -68,13 +68,13 @@ def measure_holes(
     outlines = _outlines(points, starts, part, centres, radii_mm, spacing_mm, sigma_mm)
     reasons = [_why_missing(outlines[k], centres[k], float(radii_mm[k])) for k in range(part.count)]
     by_outline = [
-        missing(reason) if reason or outline is None else _from_outline(outline)
-        for outline, reason in zip(outlines, reasons, strict=True)
+        missing(reason) if reason or outline is None else _from_outline(outline, float(radii_mm[k]), part, k)
+        for k, (outline, reason) in enumerate(zip(outlines, reasons, strict=True))
     ]
     chosen = [k for k in range(part.count) if by_outline[k].found]
     modelled = _by_model(points, starts, chosen, by_outline, part, eye, sigma_mm)
     return tuple(
-        modelled[k] if k in modelled and _better(modelled[k], by_outline[k]) else by_outline[k]
+        modelled[k] if k in modelled and _better(modelled[k], by_outline[k], spacing_mm) else by_outline[k]
         for k in range(part.count)
     )
 
@@ -116,8 +116,8 @@ def _outlines(
     result = list(first)
     for size in np.unique(drawn):
         alike = np.flatnonzero((drawn == size) & np.isfinite(sizes))
-        if len(alike) < 3 or part.diameter_mm is None:
-            continue
+        if len(alike) < 3 or part.diameter_mm is None or part.chamfer_diameter_mm is not None:
+            continue  # with a chamfer the outline is only the start of the model's fit
         usual = float(np.median(sizes[alike]))
         for k in np.flatnonzero(drawn == size):
             result[k] = fit_outline(faces[k], centres[k], usual, spacing_mm, radius_sigma_mm=0.1 * spacing_mm)
@@ -145,11 +145,13 @@ def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float) -
     return ""
 
 
-def _from_outline(outline: Outline) -> Hole:
+def _from_outline(outline: Outline, radius_mm: float, part: Part, index: int) -> Hole:
+    """The hole that an outline shows. With a chamfer the outline is its mouth: the drawn difference is taken off."""
+    mouth = radius_mm - 0.5 * part.diameter_mm[index] if part.chamfer_diameter_mm and part.diameter_mm else 0.0
     covariance = np.zeros((4, 4))
     covariance[:2, :2] = outline.covariance
     covariance[2:, 2:] = np.eye(2) * hole_model.TILT_PRIOR_RAD**2
-    return Hole(True, outline.centre_mm, np.zeros(2), outline.radius_mm, covariance, outline.points,
+    return Hole(True, outline.centre_mm, np.zeros(2), outline.radius_mm - mouth, covariance, outline.points,
                 outline.scatter_mm, "outline")  # fmt: skip
 
 
@@ -192,10 +194,9 @@ def _from_model(fits: hole_model.HoleFits, row: int, origin: Array) -> Hole | No
                 int(fits.counts[row].sum()), float(fits.residual_mm[row]), "model")  # fmt: skip
 
 
-def _better(model: Hole, outline: Hole) -> bool:
+def _better(model: Hole, outline: Hole, spacing_mm: float) -> bool:
     """The model carries the hole where it is the surer of the two and does not contradict the outline."""
     apart = float(np.hypot(*(model.centre_mm - outline.centre_mm)))
     spread = float(np.sqrt(np.trace(outline.covariance[:2, :2])))
-    return float(np.trace(model.covariance[:2, :2])) < float(np.trace(outline.covariance[:2, :2])) and (
-        apart < 6.0 * spread
-    )
+    surer = float(np.trace(model.covariance[:2, :2])) < float(np.trace(outline.covariance[:2, :2]))
+    return surer and apart < 6.0 * spread + 0.5 * spacing_mm

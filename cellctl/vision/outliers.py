@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from cellctl.vision.geometry import Points
 
-
 GRID_SPREAD = 0.2
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from cellctl.vision.geometry import Array, wrap_rad
 from cellctl.vision.part import Part, Refused
 
-
 # score by which the best clocking must beat every other one; one matched feature is worth 1
 CLEAR_MARGIN = 0.2
 
