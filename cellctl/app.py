@@ -66,8 +66,8 @@ class Workplace(SafeCell, Protocol):
         """Returns the reason once a safety input is open."""
         ...
 
-    def session(self, order: Order, recipe: Recipe) -> Session:
-        """A run of that order."""
+    async def session(self, order: Order, recipe: Recipe) -> Session:
+        """A run of that order. Raises CellError where the cell cannot be set up for it."""
         ...
 
     async def on_twin(self, recipe: Recipe, seed: int) -> TwinOutcome:
@@ -109,19 +109,16 @@ async def serve(
         app = create_app(services)
         await _warm(app, auth.token)
         server = make_server(app, wall_s=settings.speed)
-
-        def stop() -> None:
-            services.events.close()  # open streams end, so that none of them holds up the server
-            server.stop()
-
-        serving = await stack.enter_async_context(_listening(server, sock, stop))
-        service = Service(f"http://{_host(settings.host)}:{server.port}", auth.token, services, settings.data, stop)
-        with _signals(stop):
-            _log.info("listening on %s", service.url)
-            if during is not None:
-                await _alongside(during(service), serving)
-            else:
-                await serving
+        await stack.enter_async_context(_listening(server, sock))
+        told = asyncio.Event()
+        service = Service(f"http://{_host(settings.host)}:{server.port}", auth.token, services, settings.data, told.set)
+        with _signals(told.set):
+            await _until(told, during(service) if during is not None else None)
+            # The cell is stopped while the API can still be watched; then open streams end, so that none of them
+            # holds up the server.
+            await services.controller.shutdown()
+            await services.dry_runs.close()
+            services.events.close()
 
 
 def _socket(settings: Settings) -> socket.socket:
@@ -238,9 +235,7 @@ async def _warm(app: FastAPI, token: str) -> None:
 
 
 @asynccontextmanager
-async def _listening(
-    server: Server, sock: socket.socket, stop: Callable[[], None]
-) -> AsyncIterator[asyncio.Task[None]]:
+async def _listening(server: Server, sock: socket.socket) -> AsyncIterator[None]:
     serving = asyncio.create_task(server.serve_on(sock))
     listening = asyncio.create_task(server.listening.wait())
     await asyncio.wait({serving, listening}, return_when=asyncio.FIRST_COMPLETED)
@@ -248,10 +243,9 @@ async def _listening(
         if serving.done():
             listening.cancel()
             serving.result()
-            raise RuntimeError("the server ended before it listened")
-        yield serving
+        yield
     finally:
-        stop()
+        server.stop()
         await asyncio.wait({serving})
 
 
@@ -266,15 +260,18 @@ async def _background(work: Awaitable[None]) -> AsyncIterator[None]:
             await task
 
 
-async def _alongside(during: Awaitable[None], serving: asyncio.Task[None]) -> None:
-    """Until `during` has returned or the server has ended, whichever is first."""
-    task = asyncio.ensure_future(during)
-    await asyncio.wait({task, serving}, return_when=asyncio.FIRST_COMPLETED)
-    if not task.done():
-        task.cancel()
-        await asyncio.wait({task})
-    elif not task.cancelled():
-        task.result()
+async def _until(told: asyncio.Event, during: Awaitable[None] | None) -> None:
+    """Until somebody tells the service to end or `during` has returned, whichever is first."""
+    end = asyncio.ensure_future(told.wait())
+    tasks = {end} if during is None else {end, asyncio.ensure_future(during)}
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks)
 
 
 class _signals:

@@ -9,7 +9,7 @@ import asyncio
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -80,7 +80,7 @@ class Order:
     verdict: Verdict | None = None
 
 
-OpenSession = Callable[[Order, Recipe], Session]
+OpenSession = Callable[[Order, Recipe], Awaitable[Session]]
 CheckRecipe = Callable[[str, int], Recipe]
 """The recipe of that id and version; raises OrderRefused where there is none or where it does not fit the cell."""
 
@@ -117,7 +117,7 @@ class OrderBook:
             if self._controller.state is not State.IDLE:
                 raise OrderRefused("cell_not_idle", f"the cell is {self._controller.state}; orders are taken in Idle")
             order = Order(wanted, self._stamps.new_id("run"), rfc3339(self._stamps.now()), key)
-            session = _Booked(self._open_session(order, recipe), self._ended)
+            session = _Booked(await self._open_session(order, recipe), self._ended)
             await self._append({"order": asdict(order)})
             try:
                 self._controller.start(session)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 
 from cellctl.controller import Controller
@@ -21,9 +22,17 @@ WORKING = (
 
 
 async def watch_safety(controller: Controller, until_unsafe: Callable[[], Awaitable[str]]) -> None:
-    """For ever: wait until the cell works, then until a safety input opens; `until_unsafe` gives the reason."""
+    """For ever: while the cell works, wait until a safety input opens; `until_unsafe` gives the reason."""
+    at_rest = [state for state in State if state not in WORKING]
     while True:
         await controller.until(*WORKING)
-        reason = await until_unsafe()
-        if controller.state in WORKING and Command.ABORT in controller.allowed():
-            controller.request(Command.ABORT, reason)
+        unsafe = asyncio.ensure_future(until_unsafe())
+        rest = asyncio.ensure_future(controller.until(*at_rest))
+        try:
+            await asyncio.wait({unsafe, rest}, return_when=asyncio.FIRST_COMPLETED)
+            if unsafe.done() and controller.state in WORKING:
+                controller.request(Command.ABORT, unsafe.result())
+        finally:
+            for task in (unsafe, rest):
+                task.cancel()
+            await asyncio.wait({unsafe, rest})

@@ -121,7 +121,7 @@ def services_on(data: Path, wall_s: float) -> tuple[Services, DoubleCell, list[S
             raise OrderRefused("recipe_unknown", "no recipe of that id and version")
         return recipe
 
-    def open_session(order: Order, recipe: Recipe) -> StoredSession:
+    async def open_session(order: Order, recipe: Recipe) -> StoredSession:
         session = StoredSession(cell, five_phases, run_id=order.run_id, job_order_id=order.wanted.job_order_id)
         session.store, session.stamps, session.order, session.recipe = store, stamps, order, recipe
         sessions.append(session)

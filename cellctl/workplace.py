@@ -1,0 +1,202 @@
+"""Cell, vision and records of the service, ready for orders: composition root below `cellctl.app`.
+
+With fake devices the bench carries the parts of one recipe at a time: an order for another joint sets it up anew. What
+belongs to the plant stays in here; controller, journal and API have no way to it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from cellctl.assembly import Assembly, Bench
+from cellctl.assembly import Order as AssemblyOrder
+from cellctl.calibration import Calibration, load_calibration
+from cellctl.controller import Snapshot
+from cellctl.dry_runs import TwinOutcome
+from cellctl.orders import Fault, Order
+from cellctl.ports import RunHeld
+from cellctl.recipe import Recipe
+from cellctl.recipe_book import RecipeBook
+from cellctl.recipe_checks import check
+from cellctl.records.store import RunStore
+from cellctl.runner import RunRequest, run_once
+from cellctl.session import SafeReport, Session, Verdict
+from cellctl.stamps import Stamps
+from cellctl.time_left import time_left_s
+from cellctl.twin import FakeCell, fake_cell, geometry_of
+from cellctl.vision.worker import WARM, VisionWorker
+from hal.config import CellConfig
+from hal.errors import CellError, ConfigError
+from hal.fake.geometry import JointGeometry
+from hal.interfaces import Identity
+from hal.jobs import ProcessJobs
+
+JOB_DEADLINE_S = 60.0
+DRY_RUN_DEADLINE_S = 300.0
+"""Seconds of the wall."""
+DRY_RUN_POINTS = 150_000
+RENDERING = ("hal.fake.scene",)
+
+
+async def open_workplace(
+    config: CellConfig, book: RecipeBook, store: RunStore, stamps: Stamps, data: Path
+) -> AsyncIterator[CellWorkplace]:
+    """The workplace of one cell, set up for the first recipe that fits it. Closes everything at the end.
+
+    A device that does not answer is no error: the workplace says so in `failure`, and a reset tries again.
+    """
+    calibration = load_calibration(config.calibration_path)
+    jobs = ProcessJobs(deadline_s=JOB_DEADLINE_S, modules=(*WARM, *RENDERING))
+    twin_jobs = ProcessJobs(deadline_s=DRY_RUN_DEADLINE_S, modules=("cellctl.runner",), stops_clock=False)
+    async with jobs, twin_jobs:
+        first = next((recipe for recipe in book.all() if not _faults(recipe, config, calibration)), None)
+        if first is None:
+            raise ConfigError("no recipe here fits this cell", place="--recipes")
+        workplace = CellWorkplace(config, calibration, store, stamps, jobs, twin_jobs, first)
+        try:
+            await workplace.connect()
+            yield workplace
+        finally:
+            await workplace.close()
+
+
+class CellWorkplace:
+    """See `cellctl.app.Workplace`."""
+
+    def __init__(
+        self,
+        config: CellConfig,
+        calibration: Calibration,
+        store: RunStore,
+        stamps: Stamps,
+        jobs: ProcessJobs,
+        twin_jobs: ProcessJobs,
+        first: Recipe,
+    ) -> None:
+        self._config = config
+        self._calibration = calibration
+        self._store = store
+        self._stamps = stamps
+        self._jobs = jobs
+        self._twin_jobs = twin_jobs
+        self._vision = VisionWorker(jobs, calibration)
+        self._geometry, self._bench = self._built(first)
+        self._identities: dict[str, Identity] = {}
+        self._expected: dict[str, tuple[tuple[str, float], ...]] = {}
+        self.failure = "the devices are not connected"
+
+    async def connect(self) -> str:
+        """Connect what is not connected; the reason where that failed, else an empty string."""
+        if self.failure:
+            try:
+                self._identities = await self._bench.cell.connect()
+            except CellError as error:
+                self.failure = str(error)
+            else:
+                self.failure = ""
+        return self.failure
+
+    async def close(self) -> None:
+        """Let go of the devices."""
+        await self._bench.cell.close()
+
+    async def make_safe(self, deadline_s: float) -> SafeReport:
+        """See `hal.cell.Cell.make_safe`."""
+        return await self._bench.cell.make_safe(deadline_s)
+
+    async def rearm(self) -> None:
+        """Every set-point becomes what is measured, on devices that are connected. Raises CellError."""
+        if not await self.connect():
+            await self._bench.cell.rearm()
+
+    async def ready(self) -> str:
+        """The reason against Idle, or an empty string."""
+        return self.failure
+
+    async def until_unsafe(self) -> str:
+        """Returns the reason once a safety input is open."""
+        return await self._bench.cell.until_unsafe()
+
+    def faults(self, recipe: Recipe) -> tuple[Fault, ...]:
+        """What the physics checks find against the recipe on this cell."""
+        return _faults(recipe, self._config, self._calibration)
+
+    async def session(self, order: Order, recipe: Recipe) -> Session:
+        """A run of that order on a bench that is set up for its recipe. Raises CellError."""
+        await self._set_up(recipe)
+        wanted = order.wanted
+        loop = asyncio.get_running_loop()
+        faults = self._bench.faults
+        return Assembly(
+            AssemblyOrder(order.run_id, wanted.job_order_id, recipe, wanted.rotor_serial, wanted.shaft_serial),
+            Bench(
+                devices=self._bench.cell,
+                interlock=self._bench.cell.guard,
+                vision=self._vision,
+                config=self._config,
+                calibration=self._calibration,
+                store=self._store,
+                stamps=self._stamps,
+                identities=self._identities,
+            ),
+            dry_run=lambda: self._dry_run(order.run_id, recipe),
+            on_phase=lambda phase: faults.enter_phase(phase, loop.time()),
+        )
+
+    async def on_twin(self, recipe: Recipe, seed: int) -> TwinOutcome:
+        """A run on a private twin in a worker process: the calibration's belief is its truth."""
+        return await self._twin_jobs.run(run_on_twin, recipe, self._config, seed, latency_s=0.0)
+
+    def time_left_s(self, snapshot: Snapshot) -> float | None:
+        """From how long the phases took in the dry run."""
+        return time_left_s(self._expected.get(snapshot.run_id or "", ()), snapshot.phase, snapshot.fraction)
+
+    async def _dry_run(self, run_id: str, recipe: Recipe) -> None:
+        seed = int.from_bytes(hashlib.sha256(run_id.encode()).digest()[:4], "big")
+        outcome = await self.on_twin(recipe, seed)
+        self._expected = {run_id: outcome.phases_s}
+        if outcome.verdict != "accepted":
+            reasons = "; ".join(outcome.reasons) or "no reason given"
+            raise RunHeld("dry_run_refused", f"the dry run on the twin was {outcome.verdict}: {reasons}")
+
+    async def _set_up(self, recipe: Recipe) -> None:
+        if geometry_of(recipe) == self._geometry:
+            return
+        await self._bench.cell.close()
+        self._geometry, self._bench = self._built(recipe)
+        self.failure = "the devices are not connected"
+        if reason := await self.connect():
+            raise CellError(reason)
+
+    def _built(self, recipe: Recipe) -> tuple[JointGeometry, FakeCell]:
+        bench = fake_cell(recipe, self._config, self._jobs, seed=self._config.twin.seed)
+        return geometry_of(recipe), bench
+
+
+def run_on_twin(recipe: Recipe, config: CellConfig, seed: int) -> TwinOutcome:
+    """A run in virtual time on an ideal twin that knows nothing of the cell's own plant. Blocking."""
+    twin = config.twin.model_copy(update={"level": "ideal", "overrides": {}, "points": DRY_RUN_POINTS})
+    private = config.model_copy(update={"twin": twin})
+    with TemporaryDirectory(prefix="cellctl-dry-run-") as folder:
+        outcome = run_once(RunRequest(recipe, private, seed, Path(folder), keep="none"))
+    summary = outcome.summary
+    phases = tuple((phase.name, phase.cell_time_s) for phase in summary.phases) if summary else ()
+    cell_time_s = summary.cell_time_s if summary else 0.0
+    return TwinOutcome(_verdict(outcome.verdict), outcome.reasons, cell_time_s, phases)
+
+
+def _verdict(verdict: str) -> Verdict:
+    return "accepted" if verdict == "accepted" else "rejected" if verdict == "rejected" else "held"
+
+
+def _faults(recipe: Recipe, config: CellConfig, calibration: Calibration) -> tuple[Fault, ...]:
+    """Findings as faults of an order's recipe; the place in the recipe stands in the reason."""
+    findings = check(recipe, config, calibration)
+    return tuple(
+        Fault("/recipe", f"{finding.name}: {finding.place}: {finding.reason}", finding.limit, finding.unit)
+        for finding in findings
+    )
