@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cellctl.vision.correlation import inflation
 from cellctl.vision.geometry import Array, PlaneFrame, Points
 from cellctl.vision.grid import find_islands, rasterise, spacing
 from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit
@@ -61,8 +60,8 @@ def measure_studs(
     counts = np.bincount(seen.rays.stud, minlength=part.count)
     if np.count_nonzero(counts >= MIN_POINTS) < 3:
         raise Refused("features_missing", "fewer than three studs stand on the face")
-    solution, form, ballot = _fit(seen, centres, part, length, radius, axis_prior_deg)
-    return _results(solution, form, ballot, seen, points, frame, part)
+    solution, form, ballot = _fit(seen, centres, part, length, radius, axis_prior_deg, points.shape[:-1])
+    return _results(solution, form, ballot, seen, frame, part)
 
 
 def _length(part: Part) -> float:
@@ -131,7 +130,7 @@ def _gather(local: Array, pixels: NDArray[np.intp], centres: Array, eye: Array, 
 
 
 def _fit(
-    seen: _Seen, centres: Array, part: Part, length: float, radius: float, axis_prior_deg: float
+    seen: _Seen, centres: Array, part: Part, length: float, radius: float, axis_prior_deg: float, shape: tuple[int, ...]
 ) -> tuple[Solution, Form, ThreadVote | None]:
     """Vote for the thread, then least squares of every stud with one common thread."""
     count, rays = len(centres), seen.rays
@@ -152,7 +151,7 @@ def _fit(
     shared = np.array([radius, pitch / 16.0, ballot.pitch_mm if ballot else pitch])
     if ballot is not None:
         own[:, 4] = best_phase(rays, own, shared, form)
-    return solve(rays, own, shared, form, priors), form, ballot
+    return solve(rays, own, shared, form, priors, pixels=seen.pixels, shape=shape), form, ballot
 
 
 def _vote(rays: Rays, centres: Array, tips: Array, pitch: float) -> ThreadVote:
@@ -172,15 +171,13 @@ def _results(
     form: Form,
     ballot: ThreadVote | None,
     seen: _Seen,
-    points: Points,
     frame: PlaneFrame,
     part: Part,
 ) -> tuple[FeatureFit, ...]:
-    used = (solution.weights > 0) & (solution.depths.surface < TIP)
-    factor = inflation(solution.scores, seen.pixels, points.shape[:-1])
+    used = (solution.weights > 0) & (solution.surface < TIP)
     thread = None
     if ballot is not None:
-        sigma = np.sqrt(np.diag(solution.shared_covariance) * float(factor.mean()))
+        sigma = np.sqrt(np.diag(solution.shared_covariance))
         thread = (float(sigma[0]), float(sigma[2]))
     fits = []
     for i in range(part.count):
@@ -191,8 +188,7 @@ def _results(
             fits.append(FeatureFit(i, False, points=n, reason=reason))
             continue
         own = solution.own[i]
-        spread = np.diag(np.sqrt(factor))
-        across = spread @ solution.own_covariance[i, :2, :2] @ spread
+        across = solution.own_covariance[i, :2, :2]
         lean = float(np.sqrt(np.trace(solution.own_covariance[i, 2:4, 2:4]) / 2.0))
         axis = np.array([own[2], own[3], 1.0])
         fits.append(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellctl.vision.correlation import Correlation, PixelGrid, Whitener, estimate
 from cellctl.vision.thread_surface import OWN, SHARED, TIP, Array, Depths, Form, Rays, depths
 
 MIN_SIGMA_MM = 1e-5
@@ -32,7 +33,7 @@ class Solution:
     """`own` (n, OWN), `shared` (SHARED,) with their type A covariances (n, OWN, OWN), (SHARED, SHARED).
 
     `residuals_mm` (N,) predicted minus measured depth; `weights` (N,) robust, 0 for what is no thread; `sigmas_mm` (N,)
-    one sigma of each depth; `scores` (N, 2) influence of each point on its stud's x and y.
+    one sigma of each depth; `correlation` of neighbouring pixels that was found in them.
     """
 
     own: Array
@@ -42,8 +43,8 @@ class Solution:
     residuals_mm: Array
     weights: Array
     sigmas_mm: Array
-    scores: Array
-    depths: Depths
+    surface: NDArray[np.int8]
+    correlation: Correlation
 
 
 def solve(
@@ -53,31 +54,79 @@ def solve(
     form: Form,
     priors: Priors,
     *,
+    pixels: NDArray[np.intp] | None = None,
+    shape: tuple[int, ...] = (),
     start_mm: float = 0.25,
     rounds: int = 14,
 ) -> Solution:
-    """Iterate to convergence; the scale of the robust loss falls from `start_mm` to what the residuals show."""
-    start_own, start_shared = own.copy(), shared.copy()
-    scale = start_mm
+    """Robust least squares to convergence, then rounds that also free the rows from what neighbouring pixels share.
+
+    The scale of the robust loss falls from `start_mm` to what the residuals show. `pixels` (N,) are flat indices into
+    an organised cloud of `shape`; without them the noise counts as white.
+    """
+    known = (own.copy(), shared.copy())
     for turn in range(rounds):
         met = depths(rays, own, shared, form)
-        weights, sigmas = weigh(met, scale)
-        blocks = _Blocks.of(rays.stud, len(own), met, weights / sigmas**2)
+        weights, sigmas = weigh(met, start_mm * 0.5**turn if turn < 4 else 0.0)
+        blocks = _Blocks.of(_rows(met, sigmas) * np.sqrt(weights)[:, None], rays.stud, len(own))
         held = replace(priors, shared=np.minimum(priors.shared, HELD_MM)) if turn < HELD_ROUNDS else priors
-        d_own, d_shared = blocks.step(own, shared, start_own, start_shared, held)
-        d_own = np.clip(d_own, -0.3, 0.3)
-        own, shared = own + d_own, shared + np.clip(d_shared, -0.1, 0.1)
-        settled = float(np.abs(d_own[:, [0, 1, 4]]).max()) < 1e-4
-        if turn > HELD_ROUNDS + 1 and settled:
+        d_own, d_shared = blocks.step((own, shared), known, held)
+        own, shared = own + np.clip(d_own, -0.3, 0.3), shared + np.clip(d_shared, -0.1, 0.1)
+        if turn > HELD_ROUNDS + 1 and float(np.abs(d_own[:, [0, 1, 4]]).max()) < 1e-4:
             break
-        scale = 0.5 * scale if turn < 3 else 0.0
-    met = depths(rays, own, shared, form)
-    weights, sigmas = weigh(met, 0.0)
-    blocks = _Blocks.of(rays.stud, len(own), met, weights / sigmas**2)
-    own_covariance, shared_covariance = blocks.covariance(priors)
-    push = np.einsum("nk,n->nk", met.own, weights / sigmas**2 * np.nan_to_num(met.ahead_mm))
-    scores = np.einsum("nkl,nl->nk", own_covariance[rays.stud, :2], push)
-    return Solution(own, shared, own_covariance, shared_covariance, met.ahead_mm, weights, sigmas, scores, met)
+    correlation = Correlation(0.0, 1.0)
+    for _ in range(4):
+        met = depths(rays, own, shared, form)
+        weights, sigmas = weigh(met, 0.0)
+        rows, kept, correlation = _independent(met, weights, sigmas, rays.stud, pixels, shape)
+        blocks = _Blocks.of(rows, rays.stud[kept], len(own))
+        d_own, d_shared = blocks.step((own, shared), known, priors)
+        own, shared = own + np.clip(d_own, -0.1, 0.1), shared + np.clip(d_shared, -0.05, 0.05)
+        if correlation.length_px == 0.0:
+            break
+    factor = 1.0
+    if pixels is not None and len(shape) == 2:
+        factor = blocks.excess(rows, rays.stud[kept], _tiles(pixels[kept], shape), priors)
+    own_covariance, shared_covariance = (factor * part for part in blocks.covariance(priors))
+    return Solution(
+        own, shared, own_covariance, shared_covariance, met.ahead_mm, weights, sigmas, met.surface, correlation
+    )
+
+
+def _rows(met: Depths, sigmas: Array) -> Array:
+    """Design and right-hand side (N, OWN + SHARED + 1) in units of one sigma."""
+    return np.asarray(
+        np.concatenate([met.own, met.shared, -np.nan_to_num(met.ahead_mm)[:, None]], axis=1) / sigmas[:, None]
+    )
+
+
+def _independent(
+    met: Depths,
+    weights: Array,
+    sigmas: Array,
+    stud: NDArray[np.intp],
+    pixels: NDArray[np.intp] | None,
+    shape: tuple[int, ...],
+) -> tuple[Array, NDArray[np.intp], Correlation]:
+    """Weighted rows freed from the noise that neighbouring pixels share, and which points they belong to."""
+    rows = _rows(met, sigmas)
+    kept = np.flatnonzero(weights > 0.1)
+    grid = PixelGrid.of(pixels[kept], shape) if pixels is not None else None
+    correlation = estimate(grid, rows[kept, -1]) if grid is not None else Correlation(0.0, 1.0)
+    if grid is None or correlation.length_px == 0.0:
+        return rows[kept] * np.sqrt(weights[kept])[:, None], kept, correlation
+    free = Whitener.of(grid, stud[kept], correlation).apply(rows[kept])
+    # A point that does not go with its neighbours shows here only. Rows quieter than the model do not count for more:
+    # the part of the noise that all neighbours share, which decides the place, is as large as before.
+    spread = max(1.4826 * float(np.median(np.abs(free[:, -1]))), 0.1)
+    ratio = np.minimum(np.abs(free[:, -1]) / (4.7 * spread), 1.0)
+    return free / max(spread, 1.0) * (1.0 - ratio**2)[:, None], kept, correlation
+
+
+def _tiles(pixels: NDArray[np.intp], shape: tuple[int, ...], *, side: int = 6) -> NDArray[np.intp]:
+    """Number (N,) of the square of `side` pixels in which each point lies."""
+    rows, columns = np.divmod(pixels, shape[1])
+    return np.asarray(rows // side * (shape[1] // side + 1) + columns // side)
 
 
 def best_phase(rays: Rays, own: Array, shared: Array, form: Form, *, steps: int = 16, points: int = 4000) -> Array:
@@ -97,22 +146,16 @@ def best_phase(rays: Rays, own: Array, shared: Array, form: Form, *, steps: int 
 def weigh(met: Depths, scale_mm: float) -> tuple[Array, Array]:
     """Tukey weights (N,) and one sigma (N,) of each depth: noise that grows with one over the cosine of incidence.
 
-    Its scale is the robust residual of each kind of surface, or `scale_mm` where that is larger (while converging).
+    Its scale is the robust residual of thread and lead-in, or `scale_mm` where that is larger (while converging).
     """
-    residual = np.where(np.isfinite(met.ahead_mm), met.ahead_mm, np.inf)
-    cosine = np.maximum(met.cosine, 0.1)
-    sigmas = np.full(len(residual), np.inf)
-    for surface in range(TIP):
-        rows = met.surface == surface
-        if not rows.any():
-            continue
-        normal = np.abs(residual[rows] * cosine[rows])
-        near = normal[normal < max(6.0 * scale_mm, 0.3)]
-        spread = 1.4826 * float(np.median(near)) if len(near) > 5 else 0.03
-        sigmas[rows] = max(spread, scale_mm, MIN_SIGMA_MM) / cosine[rows]
-    ratio = np.where(np.isfinite(sigmas), np.abs(residual) / np.where(np.isfinite(sigmas), 4.7 * sigmas, 1.0), 2.0)
-    weights = np.where(ratio < 1.0, (1.0 - np.minimum(ratio, 1.0) ** 2) ** 2, 0.0)
-    return weights, np.where(np.isfinite(sigmas), sigmas, 1.0)
+    on = (met.surface < TIP) & np.isfinite(met.ahead_mm)
+    sigmas = 1.0 / np.maximum(met.cosine, 0.1)
+    ratio = np.where(on, np.abs(np.nan_to_num(met.ahead_mm)) / sigmas, np.inf)
+    near = ratio[ratio < max(6.0 * scale_mm, 0.3)]
+    spread = 1.4826 * float(np.median(near)) if len(near) > 5 else 0.03
+    scale = max(spread, scale_mm, MIN_SIGMA_MM)
+    weights = (1.0 - np.minimum(ratio / (4.7 * scale), 1.0) ** 2) ** 2
+    return weights, sigmas * scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,17 +169,14 @@ class _Blocks:
     shared_side: Array
 
     @classmethod
-    def of(cls, stud: NDArray[np.intp], count: int, met: Depths, weights: Array) -> _Blocks:
-        rows = np.concatenate([met.own, met.shared, -np.nan_to_num(met.ahead_mm)[:, None]], axis=1)
-        rows[weights == 0] = 0.0
-        weighted = rows * weights[:, None]
+    def of(cls, rows: Array, stud: NDArray[np.intp], count: int) -> _Blocks:
         order = np.argsort(stud, kind="stable")
         starts = np.searchsorted(stud[order], np.arange(count + 1))
         size = OWN + SHARED + 1
         total = np.zeros((count, size, size))
         for i in range(count):
             mine = order[starts[i] : starts[i + 1]]
-            total[i] = weighted[mine].T @ rows[mine]
+            total[i] = rows[mine].T @ rows[mine]
         return cls(
             total[:, :OWN, :OWN],
             total[:, :OWN, OWN:-1],
@@ -152,14 +192,13 @@ class _Blocks:
         schur = schur - np.einsum("nka,nkl,nlb->ab", self.border, inverse, self.border)
         return np.asarray(inverse), np.asarray(np.linalg.inv(schur))
 
-    def step(
-        self, own: Array, shared: Array, start_own: Array, start_shared: Array, priors: Priors
-    ) -> tuple[Array, Array]:
+    def step(self, now: tuple[Array, Array], known: tuple[Array, Array], priors: Priors) -> tuple[Array, Array]:
+        """Gauss-Newton step of own and shared parameters; slopes are pulled to zero, the rest to what was known."""
         inverse, corner = self._with(priors)
-        known = start_own.copy()
-        known[:, 2:4] = 0.0
-        side = self.own_side + (known - own) * priors.own**-2.0
-        border = self.shared_side + (start_shared - shared) * priors.shared**-2.0
+        mean = known[0].copy()
+        mean[:, 2:4] = 0.0
+        side = self.own_side + (mean - now[0]) * priors.own**-2.0
+        border = self.shared_side + (known[1] - now[1]) * priors.shared**-2.0
         d_shared = corner @ (border - np.einsum("nka,nkl,nl->a", self.border, inverse, side))
         d_own = np.einsum("nkl,nl->nk", inverse, side - self.border @ d_shared)
         return d_own, d_shared
@@ -168,3 +207,21 @@ class _Blocks:
         inverse, corner = self._with(priors)
         lever = np.einsum("nkl,nla->nka", inverse, self.border)
         return inverse + np.einsum("nka,ab,nlb->nkl", lever, corner, lever), corner
+
+    def excess(self, rows: Array, stud: NDArray[np.intp], tiles: NDArray[np.intp], priors: Priors) -> float:
+        """How many times the variance of the studs' places exceeds the one of independent rows; at least 1.
+
+        Tiles of pixels stand for independent groups, pooled over all studs (Liang, Zeger, Biometrika 73 (1986) 13),
+        corrected for the parameters that the fit took from each stud's tiles.
+        """
+        inverse, _ = self._with(priors)
+        influence = np.einsum("nkl,nl,n->nk", inverse[stud, :2], rows[:, :OWN], rows[:, -1])
+        _, first, group = np.unique(stud * (int(tiles.max()) + 1) + tiles, return_index=True, return_inverse=True)
+        groups = np.bincount(stud[first], minlength=len(inverse))
+        sums = np.stack([np.bincount(group, influence[:, axis]) for axis in (0, 1)], axis=1)
+        correction = groups[stud[first]] / np.maximum(groups[stud[first]] - 3.0, 1.0)
+        enough = groups[stud[first]] > 4
+        found = float(np.sum((sums**2 * correction[:, None])[enough]))
+        data = inverse @ self.own @ inverse
+        expected = float(np.sum(np.einsum("nkk->n", data[:, :2, :2])[groups > 4]))
+        return max(found / expected, 1.0) if expected > 0 else 1.0

@@ -106,6 +106,7 @@ class _Track:
         x = rays.points[:, 0] - a[:, 0] - a[:, 2] * s
         y = rays.points[:, 1] - a[:, 1] - a[:, 3] * s
         dx, dy = rays.directions[:, 0] - a[:, 2] * ds, rays.directions[:, 1] - a[:, 3] * ds
+        s, ds = s + a[:, 2] * x + a[:, 3] * y, ds + a[:, 2] * dx + a[:, 3] * dy
         lead = form.hand * form.starts * pitch / (2.0 * np.pi)
         phase = form.middle_mm + a[:, 4]
         ridge = np.rint((s - phase - lead * np.arctan2(y, x)) / pitch)
@@ -154,7 +155,9 @@ class _Track:
         slope = gx * self.dx + gy * self.dy + gs * self.ds
         slope = np.where(np.abs(slope) > 1e-3, slope, -1e-3)
         turns = self.lead / self.pitch * np.arctan2(y, x) + self.ridge
-        own = np.stack([-gx, -gy, -s * gx, -s * gy, -sign, -(met == LEAD_IN).astype(np.float64)], axis=1)
+        own = np.stack(
+            [-gx, -gy, x * gs - s * gx, y * gs - s * gy, -sign, -(met == LEAD_IN).astype(np.float64)], axis=1
+        )
         on_thread = (met <= LOWER).astype(np.float64)
         shared = np.stack([-on_thread, -np.abs(sign), -sign * turns], axis=1)
         cosine = np.abs(slope) / np.sqrt(gx**2 + gy**2 + gs**2)
