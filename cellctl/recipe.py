@@ -60,7 +60,6 @@ class Pattern(Section):
     circle_diameter_mm: Mm = Field(gt=0, le=2000)
     angles_deg: Literal["equal"] | tuple[Deg, ...] = "equal"
     index_feature: int | None = Field(default=None, ge=0)
-    position_tolerance_mm: Mm = Field(default=0.06, gt=0, description="diameter of the tolerance zone, ISO 1101")
 
     @model_validator(mode="after")
     def _whole(self) -> Pattern:
@@ -156,6 +155,7 @@ class Heat(Section):
     fit_interference_mm: Mm = Field(default=0.06, ge=0)
     fit_tolerance_mm: Mm = Field(default=0.005, ge=0)
     expansion_per_k: PerKelvin = Field(default=12.5e-6, gt=0)
+    clearance_sigmas: Fraction = Field(default=3.0, ge=0, description="what the worst stud keeps at T_max")
     open_by_mm: Mm = Field(default=0.02, ge=0)
     difference_k: Kelvin = Field(default=45.0, gt=0)
     difference_tolerance_k: Kelvin = Field(default=3.0, gt=0)

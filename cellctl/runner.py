@@ -83,7 +83,7 @@ class Outcome:
             "insertion": summary.insertion if summary else None,
             "heat": summary.heat if summary else None,
             "joints": list(summary.joints) if summary else [],
-            "truth": self.truth.to_json(),
+            "truth": self.truth.as_dict(),
             "record": str(self.record) if self.record else None,
         }
 

@@ -26,7 +26,7 @@ def temperature_window(recipe: Recipe) -> Window | None:
     """The window by the drawing; None where nothing is heated or a size is missing.
 
     Low: the diametral fit opens by `open_by_mm`, interference_now = interference - alpha D dT, the largest fit taken.
-    High: the hole circle has grown by alpha R dT in radius, and the worst stud still keeps three sigma of clearance.
+    High: the hole circle has grown by alpha R dT in radius, and the worst stud still keeps `clearance_sigmas`.
     Each gate counts as three sigma of its alignment, `position_sigma_mm` is that of a hole and of a stud.
     """
     spigot = recipe.shaft.spigot_diameter_mm if recipe.shaft else None
@@ -38,7 +38,7 @@ def temperature_window(recipe: Recipe) -> Window | None:
     shift = math.hypot(recipe.align.gate_xy_mm / COVERAGE, math.sqrt(2.0) * recipe.limits.position_sigma_mm)
     across = math.hypot(shift, radius * math.radians(recipe.align.gate_theta_deg) / COVERAGE)
     clearance = recipe.limits.radial_clearance_mm
-    room = math.sqrt(max(clearance**2 - across**2, 0.0)) - COVERAGE * shift
+    room = math.sqrt(max(clearance**2 - across**2, 0.0)) - heat.clearance_sigmas * shift
     return Window(low, room / (heat.expansion_per_k * radius))
 
 

@@ -190,6 +190,7 @@ def _window(belief: Belief, spec: AlignSpec) -> TemperatureWindow:
         open_by_mm=spec.open_by_mm,
         expansion_per_k=spec.expansion_per_k,
         spigot_diameter_mm=spec.spigot_diameter_mm,
+        coverage=spec.clearance_sigmas,
     )
 
 

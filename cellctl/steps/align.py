@@ -80,9 +80,12 @@ async def _check_motion(run: RunContext, expected: np.ndarray, shaft: PartMeasur
 
 
 def _check_odds(recipe: Recipe, alignment: Alignment) -> None:
-    odds, needed = alignment.p_insert, recipe.align.min_p_insert
+    odds, needed = alignment.p_force_ok, recipe.align.min_p_insert
     if odds < needed:
-        raise RunHeld("insertion_improbable", f"the studs enter with a probability of {odds:.3f} (needed {needed})")
+        raise RunHeld(
+            "insertion_improbable",
+            f"all studs enter below {recipe.jack_up.force_limit_n} N with a probability of {odds:.3f} (needed {needed})",
+        )
 
 
 def _motion(alignment: Alignment) -> str:
