@@ -123,61 +123,110 @@ def solve(contacts: Contacts, stiffness_n_per_mm: Array, circle_radius_mm: float
     touching = np.flatnonzero((distance > contacts.free_mm).any(axis=1))
     if touching.size == 0:
         return Float(floated, lateral)
-    d, free, k = contacts.offset_mm[touching], contacts.free_mm[touching], contacts.stiffness_n_per_mm[touching]
-    jacobian = np.zeros((len(touching), c, 2, 3))
-    jacobian[..., 0, 0] = jacobian[..., 1, 1] = 1.0
-    jacobian[..., 0, 2] = -contacts.arm_mm[touching, :, 1] / circle_radius_mm
-    jacobian[..., 1, 2] = contacts.arm_mm[touching, :, 0] / circle_radius_mm
-    u = _newton(d, free, k, jacobian, np.asarray(stiffness_n_per_mm, dtype=np.float64))
+    pile = _Pile(
+        contacts.offset_mm[touching, :, 0],
+        contacts.offset_mm[touching, :, 1],
+        -contacts.arm_mm[touching, :, 1] / circle_radius_mm,
+        contacts.arm_mm[touching, :, 0] / circle_radius_mm,
+        contacts.free_mm[touching],
+        contacts.stiffness_n_per_mm[touching],
+        np.asarray(stiffness_n_per_mm, dtype=np.float64),
+    )
+    u = _newton(pile)
     floated[touching] = u
-    lateral[touching] = k * np.maximum(_distance(d, jacobian, u)[1] - free, 0.0)
+    lateral[touching] = pile.stiffness * np.maximum(pile.rest(u)[2] - pile.free, 0.0)
     return Float(floated, lateral)
 
 
-def _distance(d: Array, jacobian: Array, u: Array) -> tuple[Array, Array]:
-    rest = d - np.einsum("mcij,mj->mci", jacobian, u)
-    return rest, np.hypot(rest[..., 0], rest[..., 1])
+@dataclass(frozen=True, slots=True)
+class _Pile:
+    """The touching heights by component, all (m, c): offsets, motion of each hole per tangential millimetre."""
+
+    offset_x: Array
+    offset_y: Array
+    turn_x: Array
+    turn_y: Array
+    free: Array
+    stiffness: Array
+    held: Array
+
+    def rest(self, u: Array) -> tuple[Array, Array, Array]:
+        """Offsets left after the float `u` (m, 3): x, y and distance."""
+        x = self.offset_x - u[:, :1] - self.turn_x * u[:, 2:]
+        y = self.offset_y - u[:, 1:2] - self.turn_y * u[:, 2:]
+        return x, y, np.sqrt(x * x + y * y)
+
+    def energy(self, u: Array) -> Array:
+        """(m,) energy E(u)."""
+        over = np.maximum(self.rest(u)[2] - self.free, 0.0)
+        return np.asarray(0.5 * (u * u) @ self.held + 0.5 * np.sum(self.stiffness * over * over, axis=1))
+
+    def slopes(self, u: Array) -> tuple[Array, Array, Array]:
+        """Gradient (m, 3), its contact part (m, 3) and the generalised Hessian (m, 3, 3)."""
+        x, y, length = self.rest(u)
+        length = np.maximum(length, 1e-12)
+        over = np.maximum(length - self.free, 0.0)
+        nx, ny = x / length, y / length
+        force = self.stiffness * over
+        push = _onto(force * nx, force * ny, self.turn_x, self.turn_y)
+        # Along the normal the full stiffness, across it the share over / length of a cable under tension.
+        active = np.where(over > 0.0, self.stiffness, 0.0)
+        across = active * over / length
+        xx, xy, yy = (
+            across + (active - across) * nx * nx,
+            (active - across) * nx * ny,
+            across + (active - across) * ny * ny,
+        )
+        column_x = _onto(xx, xy, self.turn_x, self.turn_y)
+        column_y = _onto(xy, yy, self.turn_x, self.turn_y)
+        column_t = _onto(
+            xx * self.turn_x + xy * self.turn_y, xy * self.turn_x + yy * self.turn_y, self.turn_x, self.turn_y
+        )
+        hessian = np.diag(self.held) + np.stack([column_x, column_y, column_t], axis=2)
+        return u * self.held - push, push, hessian
+
+    def at(self, rows: NDArray[np.intp]) -> _Pile:
+        """Some of the heights."""
+        return _Pile(
+            self.offset_x[rows],
+            self.offset_y[rows],
+            self.turn_x[rows],
+            self.turn_y[rows],
+            self.free[rows],
+            self.stiffness[rows],
+            self.held,
+        )
 
 
-def _energy(d: Array, free: Array, k: Array, jacobian: Array, stiffness: Array, u: Array) -> Array:
-    over = np.maximum(_distance(d, jacobian, u)[1] - free, 0.0)
-    return np.asarray(0.5 * (u * u) @ stiffness + 0.5 * np.sum(k * over * over, axis=1))
+def _onto(x: Array, y: Array, turn_x: Array, turn_y: Array) -> Array:
+    """(m, 3) sums over the contacts of forces (m, c), as force x, y and tangential force."""
+    return np.stack([x.sum(axis=1), y.sum(axis=1), (x * turn_x + y * turn_y).sum(axis=1)], axis=1)
 
 
-def _newton(d: Array, free: Array, k: Array, jacobian: Array, stiffness: Array) -> Array:
-    u = np.zeros((len(d), 3))
-    identity = np.eye(2)
-    open_ = np.arange(len(d))
+def _newton(pile: _Pile) -> Array:
+    u = np.zeros((len(pile.free), 3))
+    open_ = np.arange(len(u))
+    here = pile
     for _ in range(MAX_STEPS):
-        dd, ff, kk, jj, uu = d[open_], free[open_], k[open_], jacobian[open_], u[open_]
-        rest, length = _distance(dd, jj, uu)
-        over = np.maximum(length - ff, 0.0)
-        normal = rest / np.maximum(length, 1e-12)[..., None]
-        push = np.einsum("mc,mci,mcij->mj", kk * over, normal, jj)
-        gradient = uu * stiffness - push
+        gradient, push, hessian = here.slopes(u[open_])
         unsolved = np.abs(gradient).max(axis=1) > TOLERANCE_N * (1.0 + np.abs(push).max(axis=1))
         if not unsolved.any():
             break
-        radial = normal[..., :, None] * normal[..., None, :]
-        bend = (over / np.maximum(length, 1e-12))[..., None, None]
-        local = np.where((over > 0.0)[..., None, None], radial + bend * (identity - radial), 0.0) * kk[..., None, None]
-        hessian = np.diag(stiffness) + np.einsum("mcai,mcab,mcbj->mij", jj, local, jj, optimize=True)
-        step = -np.linalg.solve(hessian, gradient[..., None])[..., 0]
-        u[open_] = uu + step * _damping(dd, ff, kk, jj, stiffness, uu, step, gradient)[:, None]
-        open_ = open_[unsolved]
+        step: Array = -np.linalg.solve(hessian, gradient[..., None])[..., 0]
+        u[open_] += step * _damping(here, u[open_], step, gradient)[:, None]
+        if unsolved.sum() < 0.7 * len(open_):
+            open_ = open_[unsolved]
+            here = pile.at(open_)
     return u
 
 
-def _damping(
-    d: Array, free: Array, k: Array, jacobian: Array, stiffness: Array, u: Array, step: Array, gradient: Array
-) -> Array:
+def _damping(pile: _Pile, u: Array, step: Array, gradient: Array) -> Array:
     """(m,) share of the step, halved until the energy falls (Armijo)."""
-    start = _energy(d, free, k, jacobian, stiffness, u)
-    fall = np.einsum("mj,mj->m", step, gradient)
-    share = np.ones(len(d))
+    start = pile.energy(u)
+    fall = np.sum(step * gradient, axis=1)
+    share = np.ones(len(u))
     for _ in range(12):
-        now = _energy(d, free, k, jacobian, stiffness, u + share[:, None] * step)
-        poor = now > start + 1e-4 * share * fall + 1e-12
+        poor = pile.energy(u + share[:, None] * step) > start + 1e-4 * share * fall + 1e-12
         if not poor.any():
             break
         share[poor] *= 0.5

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hal.fake.curve import force_curve, gap_grid
+from hal.fake.frames import rotation_z
 from hal.fake.insertion import Dock, meeting
 
 Array = NDArray[np.float64]
+
+SHARPNESS = (4.0, 16.0, 64.0, 256.0)
+NEWTON_STEPS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,37 +52,69 @@ def dock_forces(dock: Dock) -> DockForces:
     )
 
 
-def pose_error(dock: Dock, *, polish: int = 12) -> PoseError:
+def pose_error(dock: Dock) -> PoseError:
     """How far the shaft is from where the worst stud has most clearance, when its studs are in.
 
-    Least squares of the offsets over x, y, theta (closed form), then sharpened towards minimax by reweighting.
+    Least squares of the offsets over x, y, theta (closed form), then the smooth minimax.
     """
     geometry = dock.geometry
-    gaps = np.array(
-        [geometry.stud_length_mm - geometry.lead_in_mm - geometry.chamfer_depth_mm, 2.0 * geometry.spigot_length_mm]
-    )
-    met = meeting(dock, dock.heights_mm(gaps))
+    entered = geometry.stud_length_mm - geometry.lead_in_mm - geometry.chamfer_depth_mm
+    met = meeting(dock, dock.heights_mm(np.array([entered, 2.0 * geometry.spigot_length_mm])))
     depth = geometry.stud_length_mm - met.gap_mm
     mouth, tip = np.minimum(depth, geometry.chamfer_depth_mm), np.minimum(depth, geometry.hole_depth_mm)
     offset = np.concatenate([met.offset_mm(mouth), met.offset_mm(tip)]).reshape(-1, 2)
     arm = np.tile(met.hole_mm - dock.rotor.T_cell_rotor[:2, 3], (2, 1, 1)).reshape(-1, 2)
+    radius = 0.5 * geometry.circle_diameter_mm
     design = np.zeros((len(offset), 2, 3))
     design[:, 0, 0] = design[:, 1, 1] = 1.0
-    design[:, 0, 2], design[:, 1, 2] = -arm[:, 1], arm[:, 0]
-    weight = np.ones(len(offset))
-    best = np.zeros(3)
-    for _ in range(1 + polish):
-        normal = np.einsum("n,nij,nik->jk", weight, design, design)
-        best = np.linalg.solve(normal, np.einsum("n,nij,ni->j", weight, design, offset))
-        rest = np.linalg.norm(offset - design @ best, axis=1)
-        weight = 0.5 * (weight + (rest / max(float(rest.max()), 1e-12)) ** 4 + 1e-6)
-    return PoseError(-float(best[0]), -float(best[1]), -float(np.degrees(best[2])))
+    design[:, 0, 2], design[:, 1, 2] = -arm[:, 1] / radius, arm[:, 0] / radius
+    normal = np.einsum("nij,nik->jk", design, design)
+    best = _minimax(offset, design, np.linalg.solve(normal, np.einsum("nij,ni->j", design, offset)))
+    return PoseError(-float(best[0]), -float(best[1]), -float(np.degrees(best[2] / radius)))
+
+
+def _minimax(offset: Array, design: Array, start: Array) -> Array:
+    """(3,) that makes the largest ``|offset - design u|`` least, from the log-sum-exp of their squares.
+
+    Damped Newton steps on a convex function that becomes sharper; the last one is within 2 % of the maximum.
+    """
+    u = start
+
+    def squares(at: Array) -> Array:
+        rest = offset - design @ at
+        return np.asarray(np.sum(rest * rest, axis=1))
+
+    scale = max(float(squares(u).max()), 1e-18)
+    gram = 2.0 * np.einsum("nij,nik->njk", design, design) / scale
+    for sharpness in SHARPNESS:
+        for _ in range(NEWTON_STEPS):
+            rest = offset - design @ u
+            slope = -2.0 * np.einsum("nij,ni->nj", design, rest) / scale
+            weight = _softmax(sharpness * squares(u) / scale)
+            gradient = weight @ slope
+            spread = np.einsum("n,nj,nk->jk", weight, slope - gradient, slope - gradient)
+            step = -np.linalg.solve(np.einsum("n,njk->jk", weight, gram) + sharpness * spread, gradient)
+            value = _soft_maximum(squares(u) / scale, sharpness)
+            while _soft_maximum(squares(u + step) / scale, sharpness) > value and np.abs(step).max() > 1e-9:
+                step = 0.5 * step
+            u = u + step
+    return u
+
+
+def _softmax(values: Array) -> Array:
+    exponential = np.exp(values - values.max())
+    return np.asarray(exponential / exponential.sum())
+
+
+def _soft_maximum(values: Array, sharpness: float) -> float:
+    top = float(values.max())
+    return top + math.log(float(np.exp(sharpness * (values - top)).sum())) / sharpness
 
 
 def at_best_pose(dock: Dock) -> Dock:
     """The same dock with the shaft moved to its best pose, by the smallest turn that brings every stud to a hole."""
     dock = _nearest_pairing(dock)
-    for _ in range(3):
+    for _ in range(2):
         error = pose_error(dock)
         dock = moved(dock, -error.x_mm, -error.y_mm, -error.theta_deg)
     return dock
@@ -110,6 +147,6 @@ def _miss(dock: Dock, gap: Array) -> float:
 
 
 def moved(dock: Dock, x_mm: float, y_mm: float, theta_deg: float) -> Dock:
-    """The same dock with the shaft moved in x, y and turned about the rotor's axis."""
-    offset = (dock.offset_mm[0] + x_mm, dock.offset_mm[1] + y_mm)
-    return replace(dock, offset_mm=offset, offset_deg=dock.offset_deg + theta_deg)
+    """The same dock with the shaft turned about the rotor's axis, then moved in x, y."""
+    x, y = rotation_z(math.radians(theta_deg))[:2, :2] @ np.array(dock.offset_mm)
+    return replace(dock, offset_mm=(float(x) + x_mm, float(y) + y_mm), offset_deg=dock.offset_deg + theta_deg)
