@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import selectors
 import time
 from collections.abc import Callable, Coroutine, Iterator
@@ -59,46 +60,79 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return future
 
 
-class QuickenedLoop(asyncio.SelectorEventLoop):
-    """Real sockets, but time runs `speed` times as fast, and stands still while heavy jobs are in flight."""
+class _PacedSelector(selectors.DefaultSelector):
+    """Moves the loop's clock on while the loop waits, never past the next timer, never while a callback runs.
+
+    So a callback that takes long, or a busy machine, makes nothing late in the loop's own time; the clock falls behind
+    the wall instead and catches up, by no more than `CATCH_UP_S` of the wall.
+    """
+
+    CATCH_UP_S = 0.25
 
     def __init__(self, speed: float) -> None:
-        if not speed > 0:
-            raise ValueError(f"speed must be positive, got {speed}")
+        super().__init__()
         self.speed = speed
-        self._jobs = 0
-        self._mark_real = time.monotonic()
-        self._mark = 0.0
-        inner = selectors.DefaultSelector()
-        wait = inner.select
+        self.now = 0.0
+        self.jobs = 0
+        self._behind = 0.0
+        self._mark = time.monotonic()
 
-        def select(timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-            if timeout is not None and timeout > 0:
-                # While time stands still no timer can fall due: only a socket or a finished job wakes the loop.
-                timeout = None if self._jobs else timeout / self.speed
-            return wait(timeout)
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        if self.jobs:
+            # While time stands still no timer can fall due: only a socket or a finished job wakes the loop.
+            ready = super().select(timeout if timeout is not None and timeout <= 0 else None)
+            self.forget()
+            return ready
+        if timeout is not None and timeout <= 0:
+            return super().select(0)
+        self._look()
+        wait = None if timeout is None else max(timeout - self._behind, 0.0) / self.speed
+        ready = super().select(wait)
+        self._look()
+        step = self._behind if timeout is None or ready else timeout
+        step = step if timeout is None else min(step, timeout)
+        self.now += step
+        self._behind = max(self._behind - step, 0.0)
+        return ready
 
-        inner.select = select  # type: ignore[method-assign]
-        super().__init__(inner)
+    def forget(self) -> None:
+        """What the wall's clock did up to now counts for nothing."""
+        self._mark = time.monotonic()
+        self._behind = 0.0
+
+    def _look(self) -> None:
+        now = time.monotonic()
+        self._behind = min(self._behind + (now - self._mark) * self.speed, self.CATCH_UP_S * self.speed)
+        self._mark = now
+
+
+class QuickenedLoop(asyncio.SelectorEventLoop):
+    """Real sockets, but time runs up to `speed` times as fast, and stands still while heavy jobs are in flight.
+
+    For fakes only: between two waits of the loop no time passes, however long callbacks take.
+    """
+
+    def __init__(self, speed: float) -> None:
+        self.speed = speed
+        self._paced = _PacedSelector(speed)
+        super().__init__(self._paced)
+        self._clock_resolution = 1e-9
+        if not (speed > 0 and math.isfinite(speed)):
+            self.close()  # a loop that is half made complains when it is collected
+            raise ValueError(f"speed must be positive, got {speed}")
 
     def time(self) -> float:
-        if self._jobs:
-            return self._mark
-        return self._mark + (time.monotonic() - self._mark_real) * self.speed
-
-    def _set_jobs(self, jobs: int) -> None:
-        self._mark = self.time()
-        self._mark_real = time.monotonic()
-        self._jobs = jobs
+        return self._paced.now
 
     @contextlib.contextmanager
     def standing_still(self) -> Iterator[None]:
         """Time stands still inside; used around jobs that run in worker processes."""
-        self._set_jobs(self._jobs + 1)
+        self._paced.jobs += 1
         try:
             yield
         finally:
-            self._set_jobs(self._jobs - 1)
+            self._paced.jobs -= 1
+            self._paced.forget()
 
 
 def standing_still() -> contextlib.AbstractContextManager[None]:
