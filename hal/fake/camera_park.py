@@ -33,7 +33,7 @@ class FakeCameraPark(IoDevice):
 
     async def read(self) -> ParkState:
         """The end switch that is set; None between them or where two are."""
-        return self._image(await self._exchange("read"))
+        return self._image(await self._answer("read"))
 
     async def go(self, position: Position) -> ParkState:
         """Swing to `position`. Raises DeviceFault where the arm does not arrive, Interrupted when halted."""

@@ -53,12 +53,16 @@ class IoDevice:
         """No set-point to be changed."""
         await self._exchange("rearm")
 
-    async def _exchange(self, command: str) -> float:
-        """One request and its answer: the loop time, with the plant advanced to it."""
+    async def _answer(self, command: str) -> float:
+        """One request and its answer: the loop time. The plant stays as it is: for what does not depend on it."""
         if not self._connected:
             raise NotConnected(f"not connected ({command})", device=self.name)
         await self._faults.gate(self.name, command)
-        now = asyncio.get_running_loop().time()
+        return asyncio.get_running_loop().time()
+
+    async def _exchange(self, command: str) -> float:
+        """As `_answer`, with the plant advanced to the time returned."""
+        now = await self._answer(command)
         self._plant.advance(now)
         return now
 
@@ -138,7 +142,7 @@ class FakeChuck(IoDevice):
 
     async def read(self) -> ChuckState:
         """Both feedbacks and the pressure."""
-        return self._image(await self._exchange("read"))
+        return self._image(await self._answer("read"))
 
     async def clamp(self) -> ChuckState:
         """Close the jaws. Raises DeviceFault where the feedbacks do not both come."""
@@ -248,7 +252,7 @@ class FakeSafety(IoDevice):
 
     async def read(self) -> SafetyState:
         """The inputs as they are; two channels that disagree are unknown."""
-        now = await self._exchange("read")
+        now = await self._answer("read")
 
         def on(kind: str) -> bool:
             return self._faults.active(self.name, kind, now) is not None
