@@ -14,7 +14,7 @@ import numpy as np
 
 from hal.fake.geometry import JointGeometry
 from hal.fake.levels import TwinNumbers
-from hal.fake.thermal import ThermalProperties, Zones, at_rest, circle_growth, interference_mm, lagged, step
+from hal.fake.thermal import ThermalProperties, Zones, at_rest, circle_growth, interference_mm, lagged, midpoint, step
 
 TICK_S = 0.5
 QUIET_TICK_S = 5.0
@@ -108,7 +108,8 @@ class Thermal:
         self._in = self._part()
         self.properties = replace(self.properties, interference_mm=self._in.interference_mm)
         self._grid_s = self.now = now
-        self._grid = self._zones = at_rest(self.properties)
+        self._grid = at_rest(self.properties)
+        self._between: Zones | None = None
         self._delayed: deque[float] = deque([0.0] * round(self.imperfections.dead_time_s / TICK_S))
         self._gap_mm = 1e3
         self._sensed = [self._at_site(site, self._grid) for site in range(4)]
@@ -125,9 +126,7 @@ class Thermal:
         while (tick := self._tick()) <= now - self._grid_s:
             self._commit(tick)
         self.now = now
-        rest_s = now - self._grid_s
-        power_w = self._delayed[0] if self._delayed else 0.0
-        self._zones = step(self.properties, self._grid, power_w, gap_mm, rest_s) if rest_s > 0.0 else self._grid
+        self._between = None
 
     def settle(self, now: float, gap_mm: float) -> None:
         """Advance and start the grid anew at `now`: called before a command changes what heats."""
@@ -137,44 +136,48 @@ class Thermal:
 
     @property
     def zones(self) -> Zones:
-        """Temperatures at the last advance."""
-        return self._zones
+        """Temperatures at the last advance: a small step beyond the grid, which the grid does not keep."""
+        if self._between is None:
+            power_w = self._delayed[0] if self._delayed else 0.0
+            rest_s = self.now - self._grid_s
+            self._between = midpoint(self.properties, self._grid, power_w, self._gap_mm, rest_s)
+        return self._between
 
     @property
     def shaft_c(self) -> float:
         """The shaft's side of the spigot."""
-        return self._zones.shaft_rim_c
+        return self.zones.shaft_rim_c
 
     @property
     def rotor_c(self) -> float:
         """The rotor's side of the spigot."""
-        return self._zones.rotor_rim_c
+        return self.zones.rotor_rim_c
 
     @property
     def interference_mm(self) -> float:
         """Present diametral interference; negative is clearance."""
-        return interference_mm(self.properties, self._zones)
+        return interference_mm(self.properties, self.zones)
 
     @property
     def circle_growth(self) -> float:
         """Relative growth of the hole circle against the stud circle."""
-        return circle_growth(self.properties, self._zones)
+        return circle_growth(self.properties, self.zones)
 
     @property
     def clamp_difference_k(self) -> float:
         """Shaft's flange against the studs, which have the rotor's temperature: it loads or unloads the bolts."""
-        return self._zones.shaft_flange_c - self._zones.rotor_disc_c
+        return self.zones.shaft_flange_c - self.zones.rotor_disc_c
 
     def thermocouple_c(self, site: int) -> float:
         """What the junction of site 0 (spigot_tc_1), 1 (spigot_tc_2), 2 (rotor_tc) has, lag and bias included."""
         lag_s = self.imperfections.thermocouple_lag_s
-        now = lagged(self._sensed[site], self._at_site(site, self._zones), lag_s, self.now - self._grid_s)
+        now = lagged(self._sensed[site], self._at_site(site, self.zones), lag_s, self.now - self._grid_s)
         return now + self.imperfections.thermocouple_bias_k[site]
 
     @property
     def spigot_c(self) -> float:
         """Surface of the heated spigot, which the pyrometer sees."""
-        return self._at_site(0, self._zones)
+        return self._at_site(0, self.zones)
 
     # ------------------------------------------------------------ grid
 
@@ -194,7 +197,7 @@ class Thermal:
             lagged(value, self._at_site(site, self._grid), lag_s, dt_s) for site, value in enumerate(self._sensed)
         ]
         self._grid_s += dt_s
-        self._zones = self._grid
+        self._between = None
 
     def _at_site(self, site: int, zones: Zones) -> float:
         """0: heated rim, 1: heated rim's root, 2: body of the other member, 3: the regulator's, as 1."""

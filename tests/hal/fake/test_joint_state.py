@@ -94,10 +94,10 @@ def test_preload_falls_as_the_heated_flange_cools() -> None:
         bench = await closed_joint()
         nuts, thermal = bench.joints.nuts, bench.joints.nuts._plant.thermal
         assert isinstance(thermal, Thermal)
-        thermal._zones = Zones(60.0, 60.0, 20.0, 20.0)
+        thermal._between = Zones(60.0, 60.0, 20.0, 20.0)
         nuts.follow_temperature()
         nuts.put(0, NutState(present=True, preload_n=20_000.0))
-        thermal._zones = Zones(40.0, 40.0, 40.0, 40.0)
+        thermal._between = Zones(40.0, 40.0, 40.0, 40.0)
         nuts.follow_temperature()
         assert nuts.preload_n()[0] == pytest.approx(20_000.0 - 165_663 * 12.5e-6 * 15.6 * 40.0, rel=1e-3)
         assert nuts.preload_n()[1] == 0.0

@@ -16,6 +16,7 @@ from hal.fake.thermal import (
     film_w_per_m2_k,
     interference_mm,
     lagged,
+    midpoint,
     pyrometer_c,
     spigot_w_per_k,
     step,
@@ -125,3 +126,9 @@ def test_first_order_with_dead_time_describes_a_measured_heater() -> None:
     fitted, _ = curve_fit(model, since, rise, p0=(40.0, 100.0, 10.0))
     assert fitted == pytest.approx([52.1, 127.0, 15.0], rel=0.1)
     assert np.sqrt(np.mean((model(since, *fitted) - rise) ** 2)) < 0.5
+
+
+def test_a_look_between_two_steps_agrees_with_a_step() -> None:
+    look, kept = midpoint(JOINT, hot(45.0), 50.0, 0.0, 0.4), step(JOINT, hot(45.0), 50.0, 0.0, 0.4)
+    assert np.allclose(look, kept, atol=0.005)
+    assert midpoint(JOINT, hot(45.0), 50.0, 0.0, 0.0) == hot(45.0)
