@@ -138,7 +138,9 @@ async def _services(
     settings.data.mkdir(parents=True, exist_ok=True)
     opened = asynccontextmanager(open_workplace)(config, book, store, stamps, settings.data)
     workplace = await stack.enter_async_context(opened)
-    controller = Controller(workplace, events, safe_deadline_s=config.cell.safe_deadline_s, ready=workplace.ready)
+    controller = Controller(
+        workplace, events, safe_deadline_s=config.cell.safe_deadline_s, ready=workplace.ready, wall_s=settings.speed
+    )
     stack.push_async_callback(controller.shutdown)
     metrics = Metrics(controller, events)
 

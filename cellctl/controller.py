@@ -50,7 +50,11 @@ class Snapshot:
 
 
 class Controller:
-    """State machine of the cell. `ready` names what forbids Idle, or returns an empty string."""
+    """State machine of the cell. `ready` names what forbids Idle, or returns an empty string.
+
+    `wall_s` is how many seconds of the loop's time one second of the wall lasts: what waits for disks and worker
+    processes is limited in seconds of the wall.
+    """
 
     def __init__(
         self,
@@ -59,11 +63,13 @@ class Controller:
         *,
         safe_deadline_s: float,
         ready: Callable[[], Awaitable[str]] | None = None,
+        wall_s: float = 1.0,
     ) -> None:
         self._cell = cell
         self._events = events
         self._deadline_s = safe_deadline_s
         self._ready = ready
+        self._wall_s = wall_s
         self._state = State.STOPPED
         self._since_s = asyncio.get_running_loop().time()
         self._why = ""
@@ -168,7 +174,7 @@ class Controller:
         if Command.STOP in self.allowed():
             self.request(Command.STOP, "the service ends")
         while self._tasks:
-            await asyncio.wait(self._tasks, timeout=2 * CLOSE_LIMIT_S)
+            await asyncio.wait(self._tasks, timeout=2 * CLOSE_LIMIT_S * self._wall_s)
             if self._state in _AT_REST:
                 for task in self._tasks:
                     task.cancel()
@@ -269,7 +275,7 @@ class Controller:
         for task in victims:
             task.cancel()
         if victims:
-            _, left = await asyncio.wait(victims, timeout=CANCEL_LIMIT_S)
+            _, left = await asyncio.wait(victims, timeout=CANCEL_LIMIT_S * self._wall_s)
             for task in left:
                 self._swallowed()
                 self._spawn(self._hunt(task))
@@ -281,7 +287,7 @@ class Controller:
         """Cancel again what swallowed its cancellation, and halt whatever it still sends."""
         for _ in range(HUNTS):
             task.cancel()
-            await asyncio.wait({task}, timeout=CANCEL_LIMIT_S)
+            await asyncio.wait({task}, timeout=CANCEL_LIMIT_S * self._wall_s)
             await self._make_safe()
             if task.done():
                 break
@@ -295,7 +301,7 @@ class Controller:
             self._closing = self._spawn(session.close(end))
         closing = self._closing
         grave = end.ending == "complete"  # nothing is complete without its record
-        await asyncio.wait({closing}, timeout=CLOSE_LIMIT_S)
+        await asyncio.wait({closing}, timeout=CLOSE_LIMIT_S * self._wall_s)
         if not closing.done():
             self._alarms.set("record_open", "the record was not closed in time", latched=True)
         elif not closing.cancelled() and (error := closing.exception()) is not None:
