@@ -23,6 +23,7 @@ from cellctl.recipe import Recipe
 from cellctl.records.blobs import Keep
 from cellctl.records.store import RunStore
 from cellctl.records.summary import RunSummary
+from cellctl.safety_watch import watch_safety
 from cellctl.stamps import VirtualStamps
 from cellctl.states import Command, State
 from cellctl.twin import fake_cell
@@ -106,7 +107,7 @@ async def _run(request: RunRequest) -> Outcome:
         await twin.cell.close()
         return Outcome("Stopped", "held", (str(error),), request.seed, 0.0, None, truth_of(twin.plant), None)
     calibration = load_calibration(request.config.calibration_path)
-    store = RunStore(request.data)
+    store = RunStore(request.data, durable=False)
     order = Order(
         run_id=stamps.new_id("run"),
         job_order_id=f"run-{request.seed}",
@@ -153,7 +154,7 @@ async def _to_the_end(controller: Controller, cell: Cell, assembly: Assembly) ->
     """Reset, start, wait; the safety inputs are watched all the time, as in the service."""
     controller.request(Command.RESET)
     await controller.until(State.IDLE, State.ABORTED, State.STOPPED)
-    watch = asyncio.get_running_loop().create_task(watch_safety(controller, cell))
+    watch = asyncio.get_running_loop().create_task(watch_safety(controller, cell.until_unsafe))
     try:
         controller.start(assembly)
         return await controller.until(*ENDED)
@@ -163,14 +164,9 @@ async def _to_the_end(controller: Controller, cell: Cell, assembly: Assembly) ->
             await watch
 
 
-async def watch_safety(controller: Controller, cell: Cell) -> None:
-    """Abort as soon as a safety input is open or unknown."""
-    reason = await cell.until_unsafe()
-    if Command.ABORT in controller.allowed():
-        controller.request(Command.ABORT, reason)
-
-
-def with_twin(config: CellConfig, *, level: Level | None = None, overrides: Mapping[str, float] | None = None) -> CellConfig:
+def with_twin(
+    config: CellConfig, *, level: Level | None = None, overrides: Mapping[str, float] | None = None
+) -> CellConfig:
     """The same cell on another twin."""
     twin = config.twin.model_copy(
         update={"level": level or config.twin.level, "overrides": {**config.twin.overrides, **(overrides or {})}}

@@ -45,9 +45,10 @@ class Blobs(Protocol):
 class BlobStore:
     """A folder of npz files named by content hash, written by one thread of its own."""
 
-    def __init__(self, folder: Path, *, keep: Keep = "all") -> None:
+    def __init__(self, folder: Path, *, keep: Keep = "all", durable: bool = True) -> None:
         self._folder = folder
         self._keep = keep
+        self._durable = durable
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="blobs")
 
     async def put(self, arrays: Arrays, *, scan: bool) -> str:
@@ -56,7 +57,7 @@ class BlobStore:
         with standing_still():  # a quickened clock must not count what hash and disk take
             if scan and self._keep == "none":
                 return await loop.run_in_executor(self._executor, content_hash, arrays)
-            return await loop.run_in_executor(self._executor, store, self._folder, arrays)
+            return await loop.run_in_executor(self._executor, store, self._folder, arrays, self._durable)
 
     async def close(self) -> None:
         self._executor.shutdown(wait=True)
@@ -81,8 +82,8 @@ def content_hash(arrays: Arrays) -> str:
     return digest.hexdigest()
 
 
-def store(folder: Path, arrays: Arrays) -> str:
-    """Write the blob unless it is there, sync file and folder, return its content hash. Blocking."""
+def store(folder: Path, arrays: Arrays, durable: bool = True) -> str:
+    """Write the blob unless it is there, sync file and folder where `durable`, return its content hash. Blocking."""
     digest = content_hash(arrays)
     path = folder / f"{digest}.npz"
     if path.exists():
@@ -92,10 +93,12 @@ def store(folder: Path, arrays: Arrays) -> str:
         folder.mkdir(parents=True, exist_ok=True)
         with part.open("wb") as file:
             file.write(packed(arrays))
-            file.flush()
-            os.fsync(file.fileno())
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
         part.replace(path)
-        sync_folder(folder)
+        if durable:
+            sync_folder(folder)
     except OSError as error:
         raise JournalUnavailable(f"a blob cannot be written: {error}") from None
     return digest

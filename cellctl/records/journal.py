@@ -57,14 +57,16 @@ class Journal:
         self._closed = False
 
     @classmethod
-    async def open(cls, path: Path | None, stamps: Stamps) -> Journal:
+    async def open(cls, path: Path | None, stamps: Stamps, *, durable: bool = True) -> Journal:
         """Open or create the journal at `path` (None: in memory) and check its whole chain.
+
+        Not `durable`: nothing waits for the disk. For runs in virtual time, which move no metal and can be repeated.
 
         Raises RecordCorrupt where the chain is broken, JournalUnavailable where the file cannot be opened.
         """
         executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="journal")
         try:
-            database, last = await asyncio.get_running_loop().run_in_executor(executor, _open, path)
+            database, last = await asyncio.get_running_loop().run_in_executor(executor, _open, path, durable)
         except BaseException:
             executor.shutdown(wait=False)
             raise
@@ -175,13 +177,13 @@ def _settle(job: asyncio.Future[list[tuple[_Pending, Row | BaseException]]]) -> 
             item.done.set_result(outcome)
 
 
-def _open(path: Path | None) -> tuple[sqlite3.Connection, Row | None]:
+def _open(path: Path | None, durable: bool) -> tuple[sqlite3.Connection, Row | None]:
     try:
         database = sqlite3.connect(path or ":memory:", isolation_level=None, check_same_thread=False)
     except sqlite3.Error as error:
         raise JournalUnavailable(f"{path} cannot be opened: {error}") from None
     try:
-        return database, _prepare(database, path)
+        return database, _prepare(database, path, durable)
     except BaseException as error:
         database.close()
         if isinstance(error, sqlite3.OperationalError):
@@ -198,10 +200,10 @@ def _close(database: sqlite3.Connection) -> None:
     database.close()
 
 
-def _prepare(database: sqlite3.Connection, path: Path | None) -> Row | None:
+def _prepare(database: sqlite3.Connection, path: Path | None, durable: bool) -> Row | None:
     if path is not None:
         database.execute("PRAGMA journal_mode=WAL")
-        database.execute("PRAGMA synchronous=FULL")
+        database.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
         database.execute("PRAGMA busy_timeout=5000")
     (version,) = database.execute("PRAGMA user_version").fetchone()
     if version == 0:

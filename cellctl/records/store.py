@@ -139,8 +139,8 @@ class RunStore:
 
     async def _open(self, run_id: str, stamps: Stamps, keep: Keep, header: RunHeader | None) -> OpenRun:
         folder = self._folder(run_id)
-        journal = await Journal.open(folder / "journal.sqlite", stamps)
-        blobs = BlobStore(folder / "blobs", keep=keep)
+        journal = await Journal.open(folder / "journal.sqlite", stamps, durable=self._durable)
+        blobs = BlobStore(folder / "blobs", keep=keep, durable=self._durable)
         run = OpenRun(run_id, folder, journal, JournalLedger(journal, blobs, stamps), blobs, stamps, keep)
         try:
             if header is not None:
