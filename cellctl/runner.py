@@ -32,7 +32,7 @@ from hal.cell import Cell
 from hal.clock import run_virtual
 from hal.config import CellConfig, Level
 from hal.errors import DeviceError
-from hal.fake.fault_file import FaultFile
+from hal.fake.fault_file import Fault
 from hal.fake.truth import Truth, truth_of
 from hal.jobs import InlineJobs
 
@@ -47,7 +47,7 @@ class RunRequest:
     config: CellConfig
     seed: int
     data: Path
-    faults: FaultFile = FaultFile((), None)
+    faults: tuple[Fault, ...] = ()
     forced: tuple[str, ...] = ()
     keep: Keep = "decision"
     rotor_serial: str = "R-1"
@@ -97,7 +97,7 @@ def run_once(request: RunRequest) -> Outcome:
 
 
 async def _run(request: RunRequest) -> Outcome:
-    twin = fake_cell(request.recipe, request.config, InlineJobs(), seed=request.seed, faults=request.faults.faults)
+    twin = fake_cell(request.recipe, request.config, InlineJobs(), seed=request.seed, faults=request.faults)
     stamps = VirtualStamps(request.seed)
     events = EventLog(stamps.now)
     controller = Controller(twin.cell, events, safe_deadline_s=request.config.cell.safe_deadline_s)

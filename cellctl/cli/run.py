@@ -35,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Exit 0 accepted, 3 rejected or held, 2 bad input."""
     from cellctl.runner import RunRequest, run_once, with_twin
-    from hal.fake.fault_file import FaultFile, load_faults
+    from hal.fake.fault_file import load_faults
 
     try:
         config = with_twin(load_cell(args.cell), level=args.level, overrides=numbers_of(args.set))
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
             config=config,
             seed=config.twin.seed if args.seed is None else args.seed,
             data=args.data,
-            faults=load_faults(args.faults) if args.faults else FaultFile((), None),
+            faults=load_faults(args.faults).faults if args.faults else (),
             forced=tuple(args.force),
             keep=args.keep,
         )

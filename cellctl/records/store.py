@@ -67,8 +67,9 @@ class OpenRun:
 class RunStore:
     """The runs below one data folder."""
 
-    def __init__(self, data: Path, *, watermark_bytes: int = WATERMARK_BYTES) -> None:
+    def __init__(self, data: Path, *, watermark_bytes: int = WATERMARK_BYTES, durable: bool = True) -> None:
         self._runs = data / "runs"
+        self._durable = durable
         self._watermark_bytes = watermark_bytes
 
     async def begin(self, header: RunHeader, stamps: Stamps, *, keep: Keep = "all", replace: bool = False) -> OpenRun:
