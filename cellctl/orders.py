@@ -78,6 +78,7 @@ class Order:
     key: str | None
     ending: Ending | None = None
     verdict: Verdict | None = None
+    reasons: tuple[str, ...] = ()
 
 
 OpenSession = Callable[[Order, Recipe], Awaitable[Session]]
@@ -136,6 +137,10 @@ class OrderBook:
         """Every order, newest first."""
         return list(reversed(self._orders.values()))
 
+    def of_run(self, run_id: str) -> Order | None:
+        """The order that the run belongs to."""
+        return next((order for order in self._orders.values() if order.run_id == run_id), None)
+
     def state(self, order: Order) -> OrderState:
         """ISA-95 state of the order now."""
         if order.ending is not None:
@@ -164,12 +169,14 @@ class OrderBook:
         return None
 
     async def _ended(self, run_id: str, end: RunEnd) -> None:
-        for name, order in self._orders.items():
-            if order.run_id == run_id:
-                self._orders[name] = replace(order, ending=end.ending, verdict=end.outcome.verdict)
-        told = {"run_id": run_id, "ending": end.ending, "verdict": end.outcome.verdict}
+        outcome = end.outcome
+        order = self.of_run(run_id)
+        if order is not None:
+            ended = replace(order, ending=end.ending, verdict=outcome.verdict, reasons=outcome.reasons)
+            self._orders[order.wanted.job_order_id] = ended
+        told = {"run_id": run_id, "ending": end.ending, "verdict": outcome.verdict, "reasons": list(outcome.reasons)}
         await self._append({"ended": told})
-        self._events.publish("run_ended", told | {"reasons": list(end.outcome.reasons)})
+        self._events.publish("run_ended", told)
 
     async def _append(self, line: Mapping[str, object]) -> None:
         text = json.dumps(line, sort_keys=True) + "\n"
@@ -223,13 +230,14 @@ def _load(path: Path) -> dict[str, Order]:
             continue
         if "order" in line:
             fields = line["order"]
-            order = Order(**(fields | {"wanted": Wanted(**fields["wanted"])}))
+            order = Order(**(fields | {"wanted": Wanted(**fields["wanted"]), "reasons": ()}))
             orders[order.wanted.job_order_id] = order
         run_id = line.get("withdrawn") or line.get("ended", {}).get("run_id")
         for name in [name for name, order in orders.items() if order.run_id == run_id]:
             if "ended" in line:
                 told = line["ended"]
-                orders[name] = replace(orders[name], ending=told["ending"], verdict=told["verdict"])
+                reasons = tuple(told["reasons"])
+                orders[name] = replace(orders[name], ending=told["ending"], verdict=told["verdict"], reasons=reasons)
             else:
                 del orders[name]
     return orders

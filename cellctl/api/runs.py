@@ -40,7 +40,7 @@ async def all_runs(
 async def one_run(run_id: str, services: Annotated[Services, Depends(services_of)]) -> Run:
     """One run; while it runs `state` is the cell's."""
     summary = await _summary(run_id, services)
-    return _told(summary, services) if summary else _beginning(run_id, services)
+    return _told(summary, services) if summary else _without_journal(run_id, services)
 
 
 @router.get("/runs/{run_id}/journal", dependencies=VIEWER)
@@ -120,11 +120,11 @@ def _read(path: Path, offset: int) -> bytes:
 
 
 async def _summary(run_id: str, services: Services) -> RunSummary | None:
-    """None for the run that was ordered and whose journal does not exist yet. Raises UnknownRun for any other."""
+    """None for a run that was ordered and has no journal (yet). Raises UnknownRun for any other."""
     try:
         return await services.runs.get(run_id)
     except UnknownRun:
-        if services.controller.snapshot().run_id == run_id:
+        if services.orders.of_run(run_id) is not None:
             return None
         raise
 
@@ -152,16 +152,19 @@ def _told(summary: RunSummary, services: Services) -> Run:
     )
 
 
-def _beginning(run_id: str, services: Services) -> Run:
+def _without_journal(run_id: str, services: Services) -> Run:
+    order = services.orders.of_run(run_id)
+    assert order is not None, "seen by _summary"
+    wanted = order.wanted
     return Run(
         run_id=run_id,
-        job_order_id=services.controller.snapshot().job_order_id,
-        recipe=None,
-        recipe_version=None,
-        serials=None,
-        state=str(services.controller.state),
-        verdict=None,
-        reasons=[],
+        job_order_id=wanted.job_order_id,
+        recipe=wanted.recipe,
+        recipe_version=wanted.recipe_version,
+        serials=Serials(rotor=wanted.rotor_serial, shaft=wanted.shaft_serial),
+        state=order.ending.capitalize() if order.ending else str(services.controller.state),
+        verdict=order.verdict,
+        reasons=list(order.reasons),
         phases=[],
         started=None,
         ended=None,

@@ -103,10 +103,11 @@ class _Say:
         """The verdict, and where the record lies."""
         wall_s = time.monotonic() - self._began
         if self._as_json:
-            told = {"verdict": run.verdict, "reasons": run.reasons, "run_id": run.run_id, "record": str(record)}
+            place = str(record) if run.sealed else None
+            told = {"verdict": run.verdict, "reasons": run.reasons, "run_id": run.run_id, "record": place}
             print(json.dumps(told | {"journal_hash": run.journal_hash, "wall_time_s": wall_s}), flush=True)
             return
         self.line(f"\nverdict  {run.verdict}")
         for reason in run.reasons:
             self.line(f"  - {reason}")
-        self.line(f"record   {record}\nwall     {wall_s:.0f} s")
+        self.line(f"record   {record if run.sealed else 'none'}\nwall     {wall_s:.0f} s")

@@ -150,3 +150,16 @@ def test_the_page_needs_nothing_from_outside(tmp_path: Path) -> None:
         assert index.text.count("not the emergency stop") == 2
 
     run_api(tmp_path, body, role="")
+
+
+def test_a_run_that_never_got_a_journal_says_why(tmp_path: Path) -> None:
+    async def body(api: Api) -> None:
+        await api.idle()
+        (tmp_path / "runs").write_text("a file where the folder should be")
+        run_id = (await api.client.post("/api/v1/job-orders", json=ORDER)).json()["run_id"]
+        await api.services.controller.until(State.STOPPED)
+        run = (await api.client.get(f"/api/v1/runs/{run_id}")).json()
+        assert (run["state"], run["verdict"], run["sealed"]) == ("Stopped", "held", False)
+        assert "cannot be begun" in run["reasons"][0]
+
+    run_api(tmp_path, body)
