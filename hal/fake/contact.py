@@ -212,7 +212,7 @@ def _newton(pile: _Pile) -> Array:
         unsolved = np.abs(gradient).max(axis=1) > TOLERANCE_N * (1.0 + np.abs(push).max(axis=1))
         if not unsolved.any():
             break
-        step: Array = -np.linalg.solve(hessian, gradient[..., None])[..., 0]
+        step = np.asarray(-np.linalg.solve(hessian, gradient[..., None])[..., 0], dtype=np.float64)
         u[open_] += step * _damping(here, u[open_], step, gradient)[:, None]
         if unsolved.sum() < 0.7 * len(open_):
             open_ = open_[unsolved]

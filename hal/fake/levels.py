@@ -64,8 +64,8 @@ class Imperfections:
     friction_per_nut: float = _n(0.08, "1")
     friction_per_pass: float = _n(0.03, "1")
 
-    force_noise_n: float = _n(0.1, "N")
-    """White, after the amplifier's filter."""
+    force_noise_n: float = _n(0.1, "N", ideal=0.01)
+    """White, after the amplifier's filter. No converter is without: a signal that stands still is a dead one."""
     force_gain: float = _n(0.002, "1")
     force_linearity: float = _n(0.0002, "1")
     """Of the range, at mid range (class C3 load cell, OIML R 60)."""

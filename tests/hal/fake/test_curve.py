@@ -36,9 +36,9 @@ def test_without_friction_the_axial_work_is_the_energy_stored(x_mm: float, theta
     work = np.concatenate([[0.0], np.cumsum(0.5 * (curve.in_n[1:] + curve.in_n[:-1]) * -np.diff(curve.gap_mm))])
     stored = strain_n_mm(dock, curve)
     assert stored[-1] > 5.0
-    for share in (0.1, 0.5, 1.0):
+    for share in (0.1, 0.5, 0.9):
         at = int(np.argmax(stored >= share * stored[-1]))
-        assert work[at] == pytest.approx(stored[at], rel=0.01)
+        assert work[at] == pytest.approx(stored[at], rel=0.002)
 
 
 def test_friction_costs_work_on_the_way_in_and_takes_it_on_the_way_out() -> None:
