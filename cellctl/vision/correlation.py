@@ -98,9 +98,9 @@ class Whitener:
         diagonal = np.arange(found.shape[1])
         matrix[:, diagonal, diagonal] = 1.0
         side = correlation.at(np.sum(places**2, axis=-1)) * there
-        shares = np.linalg.solve(matrix, side[:, :, None])[:, :, 0]
-        spread = np.sqrt(np.maximum(1.0 - np.sum(shares * side, axis=1), 1e-6))
-        return cls(np.where(there, found, 0), shares, spread)
+        shares = np.asarray(np.linalg.solve(matrix, side[:, :, None])[:, :, 0], dtype=np.float64)
+        told = np.sum(shares * side, axis=1)
+        return cls(np.where(there, found, 0), shares, np.sqrt(np.maximum(1.0 - told, 1e-6)))
 
     def apply(self, rows: Array) -> Array:
         """Independent rows (N, k) of unit variance from correlated ones."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.vision.correlation import Correlation, PixelGrid, Whitener, estimate
-from cellctl.vision.thread_surface import OWN, SHARED, TIP, Array, Depths, Form, Rays, depths
+from cellctl.vision.thread_surface import LEAD_IN, OWN, SHARED, TIP, Array, Depths, Form, Rays, depths
 
 MIN_SIGMA_MM = 1e-5
 HELD_MM, HELD_ROUNDS = 1e-3, 5
@@ -67,7 +67,7 @@ def solve(
     known = (own.copy(), shared.copy())
     for turn in range(rounds):
         met = depths(rays, own, shared, form)
-        weights, sigmas = weigh(met, start_mm * 0.5**turn if turn < 4 else 0.0)
+        weights, sigmas = weigh(met, start_mm * 0.5**turn if turn < 4 else 0.0, shared[2])
         blocks = _Blocks.of(_rows(met, sigmas) * np.sqrt(weights)[:, None], rays.stud, len(own))
         held = replace(priors, shared=np.minimum(priors.shared, HELD_MM)) if turn < HELD_ROUNDS else priors
         d_own, d_shared = blocks.step((own, shared), known, held)
@@ -77,7 +77,7 @@ def solve(
     correlation = Correlation(0.0, 1.0)
     for _ in range(4):
         met = depths(rays, own, shared, form)
-        weights, sigmas = weigh(met, 0.0)
+        weights, sigmas = weigh(met, 0.0, shared[2])
         rows, kept, correlation = _independent(met, weights, sigmas, rays.stud, pixels, shape)
         blocks = _Blocks.of(rows, rays.stud[kept], len(own))
         d_own, d_shared = blocks.step((own, shared), known, priors)
@@ -143,12 +143,14 @@ def best_phase(rays: Rays, own: Array, shared: Array, form: Form, *, steps: int 
     return np.asarray(phases[np.argmin(costs, axis=0), np.arange(len(own))])
 
 
-def weigh(met: Depths, scale_mm: float) -> tuple[Array, Array]:
+def weigh(met: Depths, scale_mm: float, pitch_mm: float) -> tuple[Array, Array]:
     """Tukey weights (N,) and one sigma (N,) of each depth: noise that grows with one over the cosine of incidence.
 
-    Its scale is the robust residual of thread and lead-in, or `scale_mm` where that is larger (while converging).
+    Its scale is the robust residual of thread and lead-in, or `scale_mm` where that is larger (while converging). The
+    root below half a pitch, whose form no standard fixes, is left out.
     """
     on = (met.surface < TIP) & np.isfinite(met.ahead_mm)
+    on &= (met.surface == LEAD_IN) | (met.below_mm < 0.5 * pitch_mm)
     sigmas = 1.0 / np.maximum(met.cosine, 0.1)
     ratio = np.where(on, np.abs(np.nan_to_num(met.ahead_mm)) / sigmas, np.inf)
     near = ratio[ratio < max(6.0 * scale_mm, 0.3)]

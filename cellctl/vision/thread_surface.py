@@ -51,13 +51,14 @@ class Form:
 @dataclass(frozen=True, slots=True)
 class Depths:
     """`ahead_mm` (N,) predicted minus measured depth along the ray, NaN where the ray misses; the surface met (N,);
-    derivatives (N, OWN), (N, SHARED); cosine of incidence (N,)."""
+    derivatives (N, OWN), (N, SHARED); cosine of incidence (N,); how far the place met lies below the crest (N,)."""
 
     ahead_mm: Array
     surface: NDArray[np.int8]
     own: Array
     shared: Array
     cosine: Array
+    below_mm: Array
 
 
 def depths(rays: Rays, own: Array, shared: Array, form: Form) -> Depths:
@@ -161,4 +162,5 @@ class _Track:
         on_thread = (met <= LOWER).astype(np.float64)
         shared = np.stack([-on_thread, -np.abs(sign), -sign * turns], axis=1)
         cosine = np.abs(slope) / np.sqrt(gx**2 + gy**2 + gs**2)
-        return Depths(ahead, met, own / -slope[:, None], shared / -slope[:, None], np.asarray(cosine))
+        slope = -slope[:, None]
+        return Depths(ahead, met, own / slope, shared / slope, np.asarray(cosine), self.radius - r)
