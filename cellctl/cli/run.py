@@ -25,7 +25,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--level", choices=("ideal", "nominal", "hostile"))
     parser.add_argument("--faults", type=Path, help="fault file")
     parser.add_argument("--force", action="append", default=[], choices=CHECK_NAMES, metavar="CHECK")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="override a number of the twin")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a number of the twin")
     parser.add_argument("--keep", choices=("all", "decision", "none"), default="decision")
     parser.add_argument("--data", type=Path, default=Path("data"))
     parser.add_argument("--json", action="store_true")
