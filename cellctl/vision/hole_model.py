@@ -21,7 +21,7 @@ CU, CV, CHAMFER, WALL, TILT_U, TILT_V, H, A, B = range(9)
 SIZE = 9
 FACE, CONE, CYLINDER, NONE = 0, 1, 2, -1
 TILT_PRIOR_RAD = np.radians(0.03)  # machined holes stand square to their face
-SLOPE_PRIOR = 3e-4  # long-wave ripple of the scanner tilts the neighbourhood of one hole
+SLOPE_PRIOR = 5e-4  # long-wave ripple of the scanner tilts the neighbourhood of one hole
 LIFT_PRIOR_MM = 0.01
 STRIP = -1e-9
 
@@ -50,7 +50,8 @@ class Samples:
 class HoleFits:
     """Parameters (K, 9), their covariances (K, 9, 9) type A with priors, scales of the three surfaces, label counts.
 
-    `residual_mm` (K,) is the robust residual of cone and wall, `counts` (K, 3) the points kept per surface.
+    `residual_mm` (K,) is the robust residual of cone and wall, `counts` (K, 3) the points kept per surface,
+    `prior_mean` (K, 9) where the priors pull.
     """
 
     parameters: Array
@@ -59,6 +60,7 @@ class HoleFits:
     counts: NDArray[np.intp]
     residual_mm: Array
     inflation: float
+    prior_mean: Array
 
 
 def label(samples: Samples, parameters: Array, sigma_mm: Array) -> NDArray[np.int8]:
@@ -134,7 +136,7 @@ def fit(samples: Samples, start: Array, sigma_mm: float, *, rounds: int = 12) ->
     """Gauss-Newton with Tukey weights on all holes; the scale of each surface comes from the pooled residuals."""
     parameters = start.copy()
     scale = np.array([sigma_mm, 3.0 * sigma_mm, 3.0 * sigma_mm])
-    prior = _prior(samples.chamfered)
+    prior = priors(samples.chamfered)
     count = len(start)
     normal = np.zeros((count, SIZE, SIZE))
     labels = label(samples, parameters, scale)
@@ -158,19 +160,19 @@ def fit(samples: Samples, start: Array, sigma_mm: float, *, rounds: int = 12) ->
         scale = _scales(value, labels, scale)
         if step > 4 and moved < 1e-6:
             break
-    inflation = _inflation(samples, value, weights, labels, scale)
+    factor = inflation(samples, value, weights, labels, scale)
     kept = weights > 0.0
     owner, count = samples.owner, len(start)
     counts = np.stack([np.bincount(owner[kept & (labels == kind)], minlength=count) for kind in range(3)], axis=1)
     inner = kept & (labels != FACE)
     ends = zip(samples.starts[:-1], samples.starts[1:], strict=True)
     residual = [robust_sigma(value[a:b][inner[a:b]]) if inner[a:b].any() else np.nan for a, b in ends]
-    covariances = np.asarray(np.linalg.inv(normal) * inflation)
-    return HoleFits(parameters, covariances, scale, counts, np.array(residual), inflation)
+    covariances = np.asarray(np.linalg.inv(normal) * factor)
+    return HoleFits(parameters, covariances, scale, counts, np.array(residual), factor, start)
 
 
-def _prior(chamfered: bool) -> Array:
-    """Precisions of the priors: none on the place, next to none on the sizes, the face normal on the axis."""
+def priors(chamfered: bool) -> Array:
+    """Precisions (9,) of the priors: none on the place, next to none on the sizes, the face normal on the axis."""
     loose, fixed = 1e-2, 1e8
     square, level, lift = TILT_PRIOR_RAD**-2, SLOPE_PRIOR**-2, LIFT_PRIOR_MM**-2
     return np.array([loose, loose, loose if chamfered else fixed, loose, square, square, lift, level, level])
@@ -193,11 +195,18 @@ def _scales(value: Array, labels: NDArray[np.int8], scale: Array) -> Array:
     return result
 
 
-def _inflation(samples: Samples, value: Array, weights: Array, labels: NDArray[np.int8], scale: Array) -> float:
-    """Factor on variances for noise that neighbouring pixels share: sums over patches against their white value."""
-    angle = np.arctan2(samples.points[:, 1], samples.points[:, 0])
+def inflation(
+    samples: Samples, value: Array, weights: Array, labels: NDArray[np.int8], scale: Array,
+    index: NDArray[np.intp] | None = None,
+) -> float:  # fmt: skip
+    """Factor on variances for noise that neighbouring pixels share: sums over patches against their white value.
+
+    All arrays are (m,); `index` (m,) names the samples they belong to, all of them where it is None.
+    """
+    chosen = np.arange(len(samples.points)) if index is None else index
+    angle = np.arctan2(samples.points[chosen, 1], samples.points[chosen, 0])
     sector = np.floor((angle + np.pi) / (2.0 * np.pi) * 7.999).astype(np.intp)
-    patch = (samples.owner * 3 + np.maximum(labels, 0)) * 8 + sector
+    patch = (samples.owner[chosen] * 3 + np.maximum(labels, 0)) * 8 + sector
     used = weights > 0.0
     z = value[used] / scale[labels[used]]
     sums = np.bincount(patch[used], weights=z)

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from cellctl.vision import hole_model
 from cellctl.vision.geometry import Array
+from cellctl.vision.hole_refine import refine
 from cellctl.vision.outline import Outline, fit_outline
 from cellctl.vision.part import Part
 from cellctl.vision.pattern import nominal
+from cellctl.vision.shared_noise import SharedNoise
 
 MIN_INNER_POINTS = 25
 MIN_ARC = 0.5
@@ -53,14 +55,23 @@ def void_radii(part: Part) -> Array:
     return np.asarray(0.5 * sizes)
 
 
-def measure_holes(
-    local: Array, part: Part, radii_mm: Array, eye: Array | None, spacing_mm: float, sigma_mm: float
-) -> tuple[Hole, ...]:
-    """All holes of the part from points (N, 3) in the part's approximate frame.
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """How the points were seen: pinhole (3,) in their frame, pixel (N, 2) of each, noise shared by neighbours.
 
-    `radii_mm` (n,) are the voids' radii, `eye` (3,) the pinhole in the same frame or None, `sigma_mm` the noise of
-    the face, `spacing_mm` its point spacing.
+    None where that is not known; `spacing_mm` and `sigma_mm` are the face's point spacing and noise.
     """
+
+    spacing_mm: float
+    sigma_mm: float
+    eye: Array | None = None
+    pixels: Array | None = None
+    noise: SharedNoise | None = None
+
+
+def measure_holes(local: Array, part: Part, radii_mm: Array, sight: Sight) -> tuple[Hole, ...]:
+    """All holes from points (N, 3) in the part's approximate frame; `radii_mm` (n,) are the voids' radii."""
+    spacing_mm, sigma_mm = sight.spacing_mm, sight.sigma_mm
     centres = nominal(part)
     owner, near = _gather(local, part, centres, radii_mm)
     points = local[near]
@@ -72,7 +83,8 @@ def measure_holes(
         for k, (outline, reason) in enumerate(zip(outlines, reasons, strict=True))
     ]
     chosen = [k for k in range(part.count) if by_outline[k].found]
-    modelled = _by_model(points, starts, chosen, by_outline, part, eye, sigma_mm)
+    pixels = None if sight.pixels is None else sight.pixels[near]
+    modelled = _by_model(points, starts, chosen, by_outline, part, sight, pixels)
     return tuple(
         modelled[k] if k in modelled and _better(modelled[k], by_outline[k], spacing_mm) else by_outline[k]
         for k in range(part.count)
@@ -157,7 +169,7 @@ def _from_outline(outline: Outline, radius_mm: float, part: Part, index: int) ->
 
 def _by_model(
     points: Array, starts: NDArray[np.intp], chosen: list[int], outlines: list[Hole], part: Part,
-    eye: Array | None, sigma_mm: float,
+    sight: Sight, pixels: Array | None,
 ) -> dict[int, Hole]:  # fmt: skip
     """Joint fit of face, chamfer and wall of the chosen holes, by hole number."""
     if not chosen:
@@ -167,7 +179,7 @@ def _by_model(
     samples = hole_model.Samples(
         points=np.concatenate(pieces),
         starts=np.cumsum([0, *(len(piece) for piece in pieces)]),
-        eyes=None if eye is None else eye - origins,
+        eyes=None if sight.eye is None else sight.eye - origins,
         slope=float(np.tan(np.radians(part.chamfer_angle_deg or 45.0))),
         depth_mm=part.depth_mm or float("inf"),
         chamfered=part.chamfer_diameter_mm is not None,
@@ -177,7 +189,10 @@ def _by_model(
         wall = outlines[k].radius_mm if part.diameter_mm is None else 0.5 * part.diameter_mm[k]
         chamfer = max(wall, 0.5 * part.chamfer_diameter_mm) if part.chamfer_diameter_mm else wall
         start[row, hole_model.WALL], start[row, hole_model.CHAMFER] = wall, chamfer
-    fits = hole_model.fit(samples, start, sigma_mm)
+    fits = hole_model.fit(samples, start, sight.sigma_mm)
+    if sight.noise is not None and pixels is not None and sight.eye is not None:
+        own = np.concatenate([pixels[starts[k] : starts[k + 1]] for k in chosen])
+        fits = refine(samples, fits, sight.noise, own, sight.spacing_mm)
     return {k: hole for row, k in enumerate(chosen) if (hole := _from_model(fits, row, origins[row])) is not None}
 
 

@@ -15,11 +15,12 @@ from cellctl.vision import outliers
 from cellctl.vision.cloud import as_cloud
 from cellctl.vision.face import Face, find_face
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
-from cellctl.vision.holes import Hole, measure_holes
+from cellctl.vision.holes import Hole, Sight, measure_holes
 from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused
 from cellctl.vision.pattern import PatternFit, fit_pattern, symmetry
 from cellctl.vision.plane import fit_face
 from cellctl.vision.quality import coverage, nearness
+from cellctl.vision.shared_noise import estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +90,23 @@ def _features(
 
         T0 = pose(frame.axes.T, frame.origin)
         return measure_studs(grid, face, part, T0)
-    eye = None if pinhole is None else frame.into(pinhole)
-    holes = measure_holes(frame.into(flat), part, found.radii_mm, eye, found.spacing_mm, face.sigma_mm)
+    local = frame.into(flat)
+    holes = measure_holes(local, part, found.radii_mm, _sight(grid, local, frame, face, found, part, pinhole))
     return tuple(_feature(index, hole, frame, face) for index, hole in enumerate(holes))
+
+
+def _sight(
+    grid: Points, local: Array, frame: PlaneFrame, face: FaceFit, found: Face, part: Part, pinhole: Array | None
+) -> Sight:
+    """How the face was seen; the noise that pixels share shows in the face's residuals on the grid."""
+    if pinhole is None:
+        return Sight(found.spacing_mm, face.sigma_mm)
+    pixels = np.stack(np.nonzero(np.isfinite(grid[..., 0])), axis=1)
+    image = np.full(grid.shape[:2], np.nan)
+    on = (np.abs(local[:, 2]) < 5.0 * face.sigma_mm) & nearness(local, part, found.radii_mm, found.spacing_mm)
+    image[pixels[on, 0], pixels[on, 1]] = local[on, 2]
+    noise = estimate(image, face.sigma_mm)
+    return Sight(found.spacing_mm, face.sigma_mm, frame.into(pinhole), pixels.astype(np.float64), noise)
 
 
 def _feature(index: int, hole: Hole, frame: PlaneFrame, face: FaceFit) -> FeatureFit:

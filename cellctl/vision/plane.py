@@ -139,8 +139,7 @@ def fit_face(points: Array, start: Plane, toward: Array) -> FaceFit:
         normal, residuals = -normal, -residuals
     frame = PlaneFrame.on(point, normal)
     local = frame.into(points[kept])
-    blocks = _blocks(local)
-    inflation = _inflation(local[:, 2], blocks, plane.sigma_mm)
+    inflation = _inflation(local[:, 2], _blocks(local, BLOCK_MM), plane.sigma_mm)
     # height above the plane at (u, v) = offset - tilt1 * u + tilt0 * v, right-handed about the two tangents
     design = np.column_stack([np.ones(len(local)), local[:, 1], -local[:, 0]])
     covariance = plane.sigma_mm**2 * inflation * np.linalg.inv(design.T @ design)
@@ -150,15 +149,15 @@ def fit_face(points: Array, start: Plane, toward: Array) -> FaceFit:
         tilt_axes=frame.axes[:2],
         covariance=covariance,
         sigma_mm=plane.sigma_mm,
-        flatness_mm=_flatness(local[:, 2], blocks, plane.sigma_mm),
+        flatness_mm=_flatness(local[:, 2], _blocks(local, 2.0 * BLOCK_MM), plane.sigma_mm * np.sqrt(inflation)),
         points=int(np.count_nonzero(kept)),
         inliers=float(np.mean(kept)),
     )
 
 
-def _blocks(local: Array) -> tuple[NDArray[np.intp], tuple[int, int]]:
-    """Number of the block (row-major, BLOCK_MM wide) of each point, and the shape of the raster."""
-    cells = np.floor((local[:, :2] - local[:, :2].min(axis=0)) / BLOCK_MM).astype(np.intp)
+def _blocks(local: Array, width_mm: float) -> tuple[NDArray[np.intp], tuple[int, int]]:
+    """Number of the block (row-major) of each point, and the shape of the raster."""
+    cells = np.floor((local[:, :2] - local[:, :2].min(axis=0)) / width_mm).astype(np.intp)
     shape = (int(cells[:, 0].max()) + 1, int(cells[:, 1].max()) + 1)
     return cells[:, 0] * shape[1] + cells[:, 1], shape
 
@@ -190,7 +189,7 @@ def _inflation(height: Array, blocks: tuple[NDArray[np.intp], tuple[int, int]], 
 
 
 def _flatness(height: Array, blocks: tuple[NDArray[np.intp], tuple[int, int]], sigma_mm: float) -> float:
-    """Peak-to-valley of the block means, less what noise alone gives them."""
+    """Peak-to-valley of the block means, less what noise alone (`sigma_mm` as if white) gives them."""
     means, counts = _block_means(height, blocks)
     good = np.isfinite(means)
     if np.count_nonzero(good) < 3:

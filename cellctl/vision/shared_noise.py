@@ -1,0 +1,93 @@
+"""Noise that neighbouring pixels share: how far it reaches, and a field that stands for it in a fit.
+
+Structured light decodes depth over a neighbourhood, so errors are smooth across a few pixels. What the face shows
+beside a hole then says what the chamfer's error is; a fit that estimates this field along with the hole uses it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellctl.vision.geometry import Array
+
+LAGS = np.arange(1, 7)
+FAR_LAGS = (12, 14, 16)
+LEAST_NEIGHBOUR = 0.15  # correlation of next neighbours below which noise counts as white
+CLIP = 3.5
+LATTICE = 0.8  # node distance in lengths: wider and the field leaves ripples of its own
+
+
+@dataclass(frozen=True, slots=True)
+class SharedNoise:
+    """Correlation of the errors of two pixels d apart: `share` exp(-d^2 / length_px^2); the rest is white."""
+
+    length_px: float
+    share: float
+
+
+def estimate(residuals: Array, sigma: float) -> SharedNoise | None:
+    """From the face's residuals on the pixel grid (H, W), NaN elsewhere; None where they are as good as white.
+
+    What correlates over more than a dozen pixels is ripple, which belongs to type B, and is taken off.
+    """
+    z = np.where(np.abs(residuals) < CLIP * sigma, residuals, np.nan)
+    if np.count_nonzero(np.isfinite(z)) < 2000 or min(z.shape) <= 2 * FAR_LAGS[-1]:
+        return None
+    near = np.array([_correlation(z, int(lag)) for lag in LAGS])
+    far = float(np.mean([_correlation(z, lag) for lag in FAR_LAGS]))
+    rho = (near - far) / max(1.0 - far, 0.1)
+    if not np.isfinite(rho).all() or rho[0] < LEAST_NEIGHBOUR:
+        return None
+    lengths = np.linspace(0.6, 8.0, 75)
+    shapes = np.exp(-((LAGS[None] / lengths[:, None]) ** 2))
+    shares = np.clip((shapes @ rho) / (shapes**2).sum(axis=1), 0.0, 1.0)
+    best = int(np.argmin(((rho - shares[:, None] * shapes) ** 2).sum(axis=1)))
+    return SharedNoise(float(lengths[best]), float(shares[best]))
+
+
+def _correlation(z: Array, lag: int) -> float:
+    """Mean correlation of pixels `lag` apart in rows and columns."""
+    total = count = 0.0
+    for first, second in ((z[lag:], z[:-lag]), (z[:, lag:], z[:, :-lag])):
+        product = first * second
+        good = np.isfinite(product)
+        total += float(product[good].sum())
+        count += float(np.count_nonzero(good))
+    return total / max(count, 1.0) / max(float(np.nanvar(z)), 1e-30)
+
+
+def field_basis(pixels: Array, noise: SharedNoise) -> NDArray[np.float64]:
+    """Smooth functions (M, p) at pixels (M, 2) whose sum with independent unit coefficients has the shared correlation.
+
+    Gaussians of width length / 2 on a lattice as wide as the length: their correlation is exp(-d^2 / length^2).
+    Only lattice nodes near a pixel are kept; every row has unit length.
+    """
+    width, step = 0.5 * noise.length_px, LATTICE * noise.length_px
+    low = pixels.min(axis=0) - step
+    at = (pixels - low) / step
+    shape = np.ceil(at.max(axis=0)).astype(np.int64) + 2
+    corners = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+    cells = np.floor(at).astype(np.int64)[:, None] + corners
+    nodes = np.unique(cells[..., 0] * shape[1] + cells[..., 1])
+    centres = np.column_stack([nodes // shape[1], nodes % shape[1]]) * step + low
+    squared = ((pixels[:, None] - centres[None]) ** 2).sum(axis=2)
+    basis = np.exp(-squared / (2.0 * width**2))
+    return np.asarray(basis / np.sqrt((basis**2).sum(axis=1))[:, None])
+
+
+def correlated(columns: Array, pixels: Array, noise: SharedNoise) -> Array:
+    """R @ columns (M, q) for the correlation matrix R of the noise at pixels (M, 2), all different.
+
+    On the grid the Gaussian separates into rows and columns, so R is never built.
+    """
+    at = np.round(pixels - pixels.min(axis=0)).astype(np.intp)
+    height, width = at.max(axis=0) + 1
+    image = np.zeros((height, width, columns.shape[1]))
+    image[at[:, 0], at[:, 1]] = columns
+    across, along = (np.exp(-((np.subtract.outer(np.arange(n), np.arange(n)) / noise.length_px) ** 2))
+                     for n in (height, width))  # fmt: skip
+    smooth = np.einsum("ab,bcq->acq", across, np.einsum("cd,bdq->bcq", along, image, optimize=True), optimize=True)
+    return np.asarray(noise.share * smooth[at[:, 0], at[:, 1]] + (1.0 - noise.share) * columns)
