@@ -149,7 +149,7 @@ class FakeForceSensor:
             self._waiter = loop.create_future()
             timer = loop.call_at(min(when_s, edge_s), self._wake, False)
             try:
-                if await self._waiter or edge_s <= when_s:
+                if await self._waiter or edge_s <= when_s:  # a fault's edge: what comes after it is read anew
                     return True
             finally:
                 timer.cancel()
@@ -176,13 +176,14 @@ class FakeForceSensor:
             ahead = _Ahead(first, samples, self._state(), float(samples.min()), float(samples.max()))
             self._ahead = ahead
         at = first - ahead.first
-        return ahead.samples_n[at : at + count]
+        samples = ahead.samples_n[at : at + count]
+        time_s = start_s + (first + np.arange(len(samples))) / self._rate_hz
+        return self._faults.samples(self._name, samples, time_s)
 
     def _state(self) -> tuple[object, ...]:
         plant = self._plant
         versions = tuple(plant.motion[name].version for name in ("stage_x", "stage_y", "jack", "shaft_table"))
-        edge_s = self._faults.next_change(self._name, asyncio.get_running_loop().time())
-        return (*versions, edge_s, plant.slip_deg, plant.chuck_clamped, id(plant.shaft), id(plant.rotor))
+        return (*versions, plant.slip_deg, plant.chuck_clamped, id(plant.shaft), id(plant.rotor))
 
     def _lateral_moves(self) -> bool:
         plant = self._plant
@@ -203,8 +204,7 @@ class FakeForceSensor:
         creep = table.force_creep * weight * -np.expm1(-np.maximum(at_s - plant.loaded_s, 0.0) / true.force_creep_s)
         reading = plant.cell.force_gain * (force + linearity + hysteresis + creep)
         reading = reading + table.force_noise_n * self._noise(first, count)
-        reading = np.clip(reading, -self._range_n, self._range_n)
-        return self._faults.samples(self._name, reading, time_s)
+        return np.asarray(np.clip(reading, -self._range_n, self._range_n))
 
     def _noise(self, first: int, count: int) -> Array:
         """(count,) standard normal noise; a sample's noise follows from its number."""
@@ -218,7 +218,8 @@ class FakeForceSensor:
     def _first_outside(self, samples: Array, low_n: float, high_n: float) -> int:
         """Index of the first sample outside [low, high], NaN included; the length where none is."""
         ahead = self._ahead
-        if ahead is not None and low_n <= ahead.low_n and ahead.high_n <= high_n:
+        as_computed = ahead is not None and samples.base is ahead.samples_n
+        if ahead is not None and as_computed and low_n <= ahead.low_n and ahead.high_n <= high_n:
             return len(samples)
         outside = ~((samples >= low_n) & (samples <= high_n))
         return int(np.argmax(outside)) if outside.any() else len(samples)
