@@ -158,7 +158,7 @@ def fit(samples: Samples, start: Array, sigma_mm: float, *, rounds: int = 12) ->
                 parameters[k, CHAMFER] = parameters[k, WALL]
             moved = max(moved, float(np.abs(change[:2]).max()))
         scale = _scales(value, labels, scale)
-        if step > 4 and moved < 1e-6:
+        if step > 3 and moved < 1e-5:
             break
     factor = inflation(samples, value, weights, labels, scale)
     kept = weights > 0.0

@@ -59,9 +59,9 @@ def refine(samples: Samples, fits: HoleFits, noise: SharedNoise, pixels: Array, 
     scale = fits.sigma_mm * np.sqrt(max(1.0 - noise.share, LEAST_WHITE))
     left: list[Array] = [np.zeros(0)] * count
     covariances = fits.covariances.copy()
-    for _ in range(ROUNDS):
+    free = 0.0
+    for step in range(ROUNDS):
         value, design = residuals(samples, parameters, labels)
-        free = 0.0
         for k, hole in enumerate(holes):
             if hole.field.shape[1] == 0:
                 continue
@@ -71,10 +71,20 @@ def refine(samples: Samples, fits: HoleFits, noise: SharedNoise, pixels: Array, 
             parameters[k] += np.clip(solved.change, -0.1, 0.1)
             if not samples.chamfered:
                 parameters[k, CHAMFER] = parameters[k, WALL]
-            left[k], free = solved.left, free + solved.free
-            covariances[k] = _sandwich(solved, hole, noise, prior)
+            left[k] = solved.left
+            if step == 0:
+                free += _freedoms(solved)
+            if step == ROUNDS - 1:
+                covariances[k] = _sandwich(solved, hole, noise, prior)
         scale = _scales(holes, left, scale, free, fits.sigma_mm)
     return replace(fits, parameters=parameters, covariances=covariances)
+
+
+def _freedoms(solved: _Solved) -> float:
+    """Degrees of freedom that hole and field take: for the field, the variance that its unit prior loses."""
+    size = len(solved.root)
+    inverse = linalg.solve_triangular(solved.root, np.eye(size), lower=True, check_finite=False)
+    return SIZE + size - float((inverse**2).sum())
 
 
 def _sandwich(solved: _Solved, hole: _Hole, noise: SharedNoise, prior: Array) -> Array:
@@ -91,13 +101,13 @@ def _sandwich(solved: _Solved, hole: _Hole, noise: SharedNoise, prior: Array) ->
 @dataclass(frozen=True, slots=True)
 class _Solved:
     """Change (9,) of the parameters and inverse (9, 9) of their normal matrix, influence (m, 9) of the points,
-    residuals left by hole and field, freedoms taken."""
+    residuals left by hole and field, Cholesky root (p, p) of the field's normal matrix."""
 
     change: Array
     covariance: Array
     influence: Array
     left: Array
-    free: float
+    root: Array
 
 
 def _solve(design: Array, value: Array, field: Array, weights: Array, prior: Array, pull: Array) -> _Solved:
@@ -113,10 +123,7 @@ def _solve(design: Array, value: Array, field: Array, weights: Array, prior: Arr
     influence = reduced * weights[:, None]
     change = -covariance @ (influence.T @ value + pull)
     left = value - field @ sides[:, SIZE] + reduced @ change
-    # trace of the hat matrix of the field, by the variance that its prior loses
-    free = field.shape[1] - float((linalg.solve_triangular(
-        factor[0], np.eye(field.shape[1]), lower=True, check_finite=False) ** 2).sum())  # fmt: skip
-    return _Solved(change, covariance, influence, left, free + SIZE)
+    return _Solved(change, covariance, influence, left, factor[0])
 
 
 def _near(

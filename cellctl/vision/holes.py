@@ -93,7 +93,7 @@ def measure_holes(local: Array, part: Part, radii_mm: Array, sight: Sight) -> tu
 
 def _gather(local: Array, part: Part, centres: Array, radii_mm: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Nearest hole of every point that lies around one: (owner, index of the point), sorted by owner."""
-    reach = np.minimum(1.7 * radii_mm + 1.0, _half_gap(centres))
+    reach = np.minimum(1.6 * radii_mm + 0.6, _half_gap(centres))
     ring = 0.5 * part.circle_diameter_mm
     rho2 = local[:, 0] ** 2 + local[:, 1] ** 2
     deepest = -(part.depth_mm or 3.0 * float(radii_mm.max())) - 1.0

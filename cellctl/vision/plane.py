@@ -79,7 +79,7 @@ def _ransac(points: Array, rng: np.random.Generator, tau_mm: float, trials: int)
         return None
     normals = normals[wide] / lengths[wide, None]
     distances = np.einsum("ij,ij->i", normals, chosen[wide, 0])
-    judges = points[rng.permutation(len(points))[:3000]].astype(np.float32)
+    judges = points[rng.permutation(len(points))[:2000]].astype(np.float32)
     votes = (np.abs(normals.astype(np.float32) @ judges.T - distances[:, None].astype(np.float32)) < tau_mm).sum(axis=1)
     # the best few are told apart after a refit: a tilted plane through three noisy points catches few votes
     best: Plane | None = None
@@ -114,7 +114,7 @@ def refit(points: Array, start: Plane, tau_mm: float) -> Plane:
         normal, distance = new, float(new @ centre)
         residuals = points @ normal - distance
         sigma = max(robust_sigma(residuals[np.abs(residuals) < max(reach, 3.0 * sigma)]), RESOLUTION_MM)
-        if moved < 1e-7 and step > 3:
+        if moved < 1e-6 and step > 3:
             break
     return Plane(normal, distance, sigma, near)
 

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from cellctl.vision.geometry import Array
 
+Image = NDArray[np.float32]
+
 LAGS = np.arange(1, 7)
-FAR_LAGS = (12, 14, 16)
+FAR_LAGS = (12, 15)
 LEAST_NEIGHBOUR = 0.15  # correlation of next neighbours below which noise counts as white
 CLIP = 3.5
 LATTICE = 0.8  # node distance in lengths: wider and the field leaves ripples of its own
@@ -33,11 +35,13 @@ def estimate(residuals: Array, sigma: float) -> SharedNoise | None:
 
     What correlates over more than a dozen pixels is ripple, which belongs to type B, and is taken off.
     """
-    z = np.where(np.abs(residuals) < CLIP * sigma, residuals, np.nan)
-    if np.count_nonzero(np.isfinite(z)) < 2000 or min(z.shape) <= 2 * FAR_LAGS[-1]:
+    used = np.abs(residuals) < CLIP * sigma  # False for NaN
+    if np.count_nonzero(used) < 2000 or min(used.shape) <= 2 * FAR_LAGS[-1]:
         return None
-    near = np.array([_correlation(z, int(lag)) for lag in LAGS])
-    far = float(np.mean([_correlation(z, lag) for lag in FAR_LAGS]))
+    z = np.where(used, residuals, 0.0).astype(np.float32)
+    mask = used.astype(np.float32)
+    near = np.array([_correlation(z, mask, int(lag)) for lag in LAGS])
+    far = float(np.mean([_correlation(z, mask, lag) for lag in FAR_LAGS]))
     rho = (near - far) / max(1.0 - far, 0.1)
     if not np.isfinite(rho).all() or rho[0] < LEAST_NEIGHBOUR:
         return None
@@ -48,15 +52,14 @@ def estimate(residuals: Array, sigma: float) -> SharedNoise | None:
     return SharedNoise(float(lengths[best]), float(shares[best]))
 
 
-def _correlation(z: Array, lag: int) -> float:
-    """Mean correlation of pixels `lag` apart in rows and columns."""
+def _correlation(z: Image, mask: Image, lag: int) -> float:
+    """Mean correlation of pixels `lag` apart in rows and columns; `z` is zero where `mask` is."""
     total = count = 0.0
-    for first, second in ((z[lag:], z[:-lag]), (z[:, lag:], z[:, :-lag])):
-        product = first * second
-        good = np.isfinite(product)
-        total += float(product[good].sum())
-        count += float(np.count_nonzero(good))
-    return total / max(count, 1.0) / max(float(np.nanvar(z)), 1e-30)
+    for ahead, behind in ((np.s_[lag:], np.s_[:-lag]), (np.s_[:, lag:], np.s_[:, :-lag])):
+        total += float(np.einsum("ij,ij->", z[ahead], z[behind]))
+        count += float(np.einsum("ij,ij->", mask[ahead], mask[behind]))
+    variance = float(np.einsum("ij,ij->", z, z)) / float(mask.sum())
+    return total / max(count, 1.0) / max(variance, 1e-30)
 
 
 def field_basis(pixels: Array, noise: SharedNoise) -> NDArray[np.float64]:
@@ -72,10 +75,11 @@ def field_basis(pixels: Array, noise: SharedNoise) -> NDArray[np.float64]:
     corners = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     cells = np.floor(at).astype(np.int64)[:, None] + corners
     nodes = np.unique(cells[..., 0] * shape[1] + cells[..., 1])
-    centres = np.column_stack([nodes // shape[1], nodes % shape[1]]) * step + low
-    squared = ((pixels[:, None] - centres[None]) ** 2).sum(axis=2)
-    basis = np.exp(-squared / (2.0 * width**2))
-    return np.asarray(basis / np.sqrt((basis**2).sum(axis=1))[:, None])
+    # a Gaussian separates: rows and columns of the lattice each have few values
+    down = np.exp(-(((at[:, :1] - np.arange(shape[0])) * step / width) ** 2) / 2.0)
+    right = np.exp(-(((at[:, 1:] - np.arange(shape[1])) * step / width) ** 2) / 2.0)
+    basis = down[:, nodes // shape[1]] * right[:, nodes % shape[1]]
+    return np.asarray(basis / np.sqrt(np.einsum("ij,ij->i", basis, basis))[:, None])
 
 
 def correlated(columns: Array, pixels: Array, noise: SharedNoise) -> Array:
