@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,13 +18,13 @@ from cellctl.calibration import Calibration, load_calibration
 from cellctl.controller import Snapshot
 from cellctl.dry_runs import TwinOutcome
 from cellctl.orders import Fault, Order
-from cellctl.ports import RunHeld
+from cellctl.ports import Checkpoint, Progress, RunHeld
 from cellctl.recipe import Recipe
 from cellctl.recipe_book import RecipeBook
 from cellctl.recipe_checks import check
 from cellctl.records.store import RunStore
 from cellctl.runner import RunRequest, run_once
-from cellctl.session import SafeReport, Session, Verdict
+from cellctl.session import Outcome, RunEnd, SafeReport, Session, Verdict
 from cellctl.stamps import Stamps
 from cellctl.time_left import time_left_s
 from cellctl.twin import FakeCell, fake_cell, geometry_of
@@ -131,7 +131,7 @@ class CellWorkplace:
         wanted = order.wanted
         loop = asyncio.get_running_loop()
         faults = self._bench.faults
-        return Assembly(
+        assembly = Assembly(
             AssemblyOrder(order.run_id, wanted.job_order_id, recipe, wanted.rotor_serial, wanted.shaft_serial),
             Bench(
                 devices=self._bench.cell,
@@ -143,9 +143,9 @@ class CellWorkplace:
                 stamps=self._stamps,
                 identities=self._identities,
             ),
-            dry_run=lambda: self._dry_run(order.run_id, recipe),
             on_phase=lambda phase: faults.enter_phase(phase, loop.time()),
         )
+        return _Tried(assembly, lambda: self._dry_run(order.run_id, recipe))
 
     async def on_twin(self, recipe: Recipe, seed: int) -> TwinOutcome:
         """A run on a private twin in a worker process: the calibration's belief is its truth."""
@@ -175,6 +175,32 @@ class CellWorkplace:
     def _built(self, recipe: Recipe) -> tuple[JointGeometry, FakeCell]:
         bench = fake_cell(recipe, self._config, self._jobs, seed=self._config.twin.seed)
         return geometry_of(recipe), bench
+
+
+class _Tried:
+    """An assembly that begins only after its dry run, so that its journal holds the cell's own time alone."""
+
+    def __init__(self, assembly: Assembly, dry_run: Callable[[], Awaitable[None]]) -> None:
+        self._assembly = assembly
+        self._dry_run = dry_run
+
+    @property
+    def run_id(self) -> str:
+        return self._assembly.run_id
+
+    @property
+    def job_order_id(self) -> str:
+        return self._assembly.job_order_id
+
+    async def prepare(self) -> None:
+        await self._dry_run()
+        await self._assembly.prepare()
+
+    async def execute(self, checkpoint: Checkpoint, progress: Progress) -> Outcome:
+        return await self._assembly.execute(checkpoint, progress)
+
+    async def close(self, end: RunEnd) -> None:
+        await self._assembly.close(end)
 
 
 def run_on_twin(recipe: Recipe, config: CellConfig, seed: int) -> TwinOutcome:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from cellctl.app import Service, serve
-from cellctl.service_rules import Settings
-from cellctl.workplace import open_workplace
+from cellctl.service_rules import Settings, refuse_unfit
 from hal.clock import QuickenedLoop
+from hal.config import load_cell
 from hal.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
@@ -63,9 +63,13 @@ def run_service(settings: Settings, during: Callable[[Service], Awaitable[None]]
     """Serve on a clock of the asked speed. Gives the exit code."""
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     try:
+        refuse_unfit(settings, load_cell(settings.cell))
+        # Slow to import, and not needed to say what is wrong with the settings.
+        from cellctl.workplace import open_workplace
+
         with asyncio.Runner(loop_factory=lambda: QuickenedLoop(settings.speed)) as runner:
             runner.run(serve(settings, open_workplace, during=during))
-    except (ConfigError, ValueError) as error:
+    except ConfigError as error:
         print(f"cellctl: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
