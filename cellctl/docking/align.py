@@ -14,6 +14,7 @@ from cellctl.docking.joint import (
     basis_of,
     holes_at,
     joint_of,
+    joints_of,
     offsets_at,
     pivot_at,
     seat,
@@ -95,8 +96,8 @@ def _least_squares(
     """Pairing with the smallest turn and its least-squares target, repeated because the axes are not quite square."""
     free = rotor.clocking_free or shaft.clocking_free
     best: tuple[float, Joint, AxesPosition] | None = None
-    for partner in pairings(spec.angles_deg, free=free):
-        joint = joint_of(rotor, shaft, partner, calibration, measured_at)
+    partners = pairings(spec.angles_deg, free=free)
+    for joint in joints_of(rotor, shaft, partners, calibration, measured_at):
         target = _step(joint, calibration, measured_at)
         turn = _in_range(target.theta_deg, measured_at.theta_deg, spec)
         if turn is None:

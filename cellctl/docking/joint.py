@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,23 +43,36 @@ def joint_of(
     measured_at: AxesPosition,
 ) -> Joint:
     """Joint of two measurements in the cell frame; `partner[i]` is the rotor's feature that the shaft's i meets."""
+    return next(joints_of(rotor, shaft, (partner,), calibration, measured_at))
+
+
+def joints_of(
+    rotor: PartMeasurement,
+    shaft: PartMeasurement,
+    partners: tuple[tuple[int, ...], ...],
+    calibration: Calibration,
+    measured_at: AxesPosition,
+) -> Iterator[Joint]:
+    """One `Joint` for each pairing."""
     inverse = np.asarray(np.linalg.inv(T_cell_table(calibration, measured_at)), dtype=np.float64)
     holes, hole_axes, hole_var, hole_lean = _lines(shaft.features, shaft.face.normal)
-    studs, stud_axes, stud_var, stud_lean = _lines(tuple(rotor.features[k] for k in partner), rotor.face.normal)
+    studs, stud_axes, stud_var, stud_lean = _lines(rotor.features, rotor.face.normal)
     turn = inverse[:3, :3]
-    return Joint(
-        holes=_apply(inverse, holes),
-        hole_axes=hole_axes @ turn.T,
-        shaft_face=np.stack([_apply(inverse, shaft.face.point_mm[None])[0], turn @ shaft.face.normal]),
-        shaft_origin=_apply(inverse, shaft.T_frame_part[None, :3, 3])[0],
-        studs=studs,
-        stud_axes=stud_axes,
-        rotor_face=np.stack([rotor.face.point_mm, rotor.face.normal]),
-        variance_mm2=hole_var + stud_var,
-        hole_lean_rad=hole_lean,
-        stud_lean_rad=stud_lean,
-        partner=partner,
-    )
+    for partner in partners:
+        k = np.array(partner, dtype=np.intp)
+        yield Joint(
+            holes=_apply(inverse, holes),
+            hole_axes=hole_axes @ turn.T,
+            shaft_face=np.stack([_apply(inverse, shaft.face.point_mm[None])[0], turn @ shaft.face.normal]),
+            shaft_origin=_apply(inverse, shaft.T_frame_part[None, :3, 3])[0],
+            studs=studs[k],
+            stud_axes=stud_axes[k],
+            rotor_face=np.stack([rotor.face.point_mm, rotor.face.normal]),
+            variance_mm2=hole_var + stud_var[k],
+            hole_lean_rad=hole_lean,
+            stud_lean_rad=stud_lean[k],
+            partner=partner,
+        )
 
 
 def basis_of(calibration: Calibration) -> Array:

@@ -85,25 +85,30 @@ def forecast(
     half = samples // 2
     count = len(belief.clearance_mm)
 
-    def both(shape: tuple[int, ...]) -> Array:
-        draw = generator.standard_normal((half, *shape))
+    def both(*shape: int) -> Array:
+        """Standard normal numbers and their negatives; single precision is far finer than any probability here."""
+        draw = generator.standard_normal((half, *shape), dtype=np.float32)
         return np.concatenate([draw, -draw])
 
-    rigid = both((3,)) @ _root(belief.rigid_covariance).T
-    common = np.einsum("iak,sk->sia", belief.jacobian, rigid)
-    grown = (difference_k + sigma_k * both(()))[:, None, None] * belief.growth_mm_per_k
-    own = both((count, 2))
+    rigid = both(3) @ _root(belief.rigid_covariance).T.astype(np.float32)
+    shared = np.concatenate([rigid, difference_k + sigma_k * both(1)], axis=1).astype(np.float32)
+    design = np.concatenate([belief.jacobian, belief.growth_mm_per_k[:, :, None]], axis=2)
+    common = (shared @ design.reshape(-1, 4).T.astype(np.float32)).reshape(-1, count, 2)
+    own = both(count, 2)
     free = np.ones(len(own), dtype=bool)
     total, worst = np.zeros(len(own)), np.zeros(len(own))
+    room = np.square(belief.clearance_mm).astype(np.float32)
     for offsets, variance in zip(belief.offsets_mm, belief.scatter_mm2, strict=True):
-        there = offsets + common + grown + own * np.sqrt(variance)[:, None]
-        over = np.sum(there**2, axis=2) > belief.clearance_mm**2
+        there = own * np.sqrt(variance)[:, None].astype(np.float32)
+        there += common
+        there += offsets.astype(np.float32)
+        over = there[..., 0] ** 2 + there[..., 1] ** 2 > room
         touched = np.flatnonzero(over.any(axis=1))
         free[touched] = False
         if len(touched):
-            # The distribution of the force needs no more than a thousand contacts; they stand for the others.
-            chosen = touched[:: max(1, len(touched) // 1024)]
-            axial = contact_forces(there[chosen], belief.jacobian, belief.clearance_mm, model)
+            # The distribution of the force needs no more than a few hundred contacts; they stand for the others.
+            chosen = touched[:: max(1, len(touched) // 512)]
+            axial = contact_forces(there[chosen].astype(np.float64), belief.jacobian, belief.clearance_mm, model)
             place = np.minimum(np.searchsorted(chosen, touched), len(chosen) - 1)
             total[touched] = np.maximum(total[touched], axial.sum(axis=1)[place])
             worst[touched] = np.maximum(worst[touched], axial.max(axis=1)[place])
