@@ -56,7 +56,8 @@ def measure_studs(
     chosen = np.flatnonzero(_within(flat, frame, length))
     local = frame.into(flat[chosen])
     centres = _pattern(local, part, frame, T_scanner_part, length, radius)
-    seen = _gather(local, chosen, centres, eye, length, radius)
+    bevel = part.thread.pitch_mm if part.thread else 0.25 * radius
+    seen = _gather(local, chosen, centres, eye, length, radius, max(bevel, 0.25 * radius))
     counts = np.bincount(seen.rays.stud, minlength=part.count)
     if np.count_nonzero(counts >= MIN_POINTS) < 3:
         raise Refused("features_missing", "fewer than three studs stand on the face")
@@ -109,21 +110,22 @@ def _pattern(
     return np.asarray(found.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]]))
 
 
-def _gather(local: Array, pixels: NDArray[np.intp], centres: Array, eye: Array, length: float, radius: float) -> _Seen:
-    """Points within reach of a stud; its centre moved onto its own tip, its height from the flat end."""
-    reach = radius + 0.15 * radius + 0.3
+def _gather(
+    local: Array, pixels: NDArray[np.intp], centres: Array, eye: Array, length: float, radius: float, bevel: float
+) -> _Seen:
+    """Points within reach of a stud. The flat end gives the stud's height and is left out within `bevel` of its rim."""
+    reach = 1.15 * radius + 0.3
     distance, nearest = cKDTree(centres).query(local[:, :2], distance_upper_bound=reach)
     near = np.flatnonzero(np.isfinite(distance))
-    stud = np.asarray(nearest, dtype=np.intp)[near]
+    stud, from_axis = np.asarray(nearest, dtype=np.intp)[near], np.asarray(distance)[near]
     tips = np.full(len(centres), length)
     for i in range(len(centres)):
-        mine = near[stud == i]
-        flat = local[mine, 2][np.hypot(*(local[mine, :2] - centres[i]).T) < 0.6 * radius]
+        flat = local[near[(stud == i) & (from_axis < 0.6 * radius)], 2]
         flat = flat[flat > 0.9 * length]
         if len(flat) >= 5:
             tips[i] = np.median(flat)
-    inside = local[near, 2] < tips[stud] + 0.3
-    near, stud = near[inside], stud[inside]
+    side = (local[near, 2] < tips[stud] + 0.3) & (from_axis > radius - bevel)
+    near, stud = near[side], stud[side]
     rays = local[near] - eye
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return _Seen(Rays(local[near], rays, stud), pixels[near], tips)

@@ -75,7 +75,7 @@ def solve(
         if turn > HELD_ROUNDS + 1 and float(np.abs(d_own[:, [0, 1, 4]]).max()) < 1e-4:
             break
     correlation = Correlation(0.0, 1.0)
-    for _ in range(4):
+    for _ in range(3):
         met = depths(rays, own, shared, form)
         weights, sigmas = weigh(met, 0.0, shared[2])
         rows, kept, correlation = _independent(met, weights, sigmas, rays.stud, pixels, shape)

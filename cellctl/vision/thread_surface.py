@@ -125,7 +125,7 @@ class _Track:
         """Entry into the half space of a flank or the lead-in near the measured point; -inf where the ray leaves it."""
         at = np.zeros(len(self.x))
         enters = np.ones(len(self.x), dtype=np.bool_)
-        for _ in range(4):
+        for _ in range(3):
             height, slope = self._height(surface, at)
             enters &= slope < -0.05
             at = at - np.where(enters, np.clip(height / np.where(enters, slope, -1.0), -2.0, 2.0), 0.0)

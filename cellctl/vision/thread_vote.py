@@ -51,7 +51,7 @@ def vote(
     and number of starts the votes are summed over the phase with a Fourier transform along z; studs of different
     phase add their power.
     """
-    cells = int(2 ** np.ceil(np.log2(max(64.0, 4.0 * (np.ptp(height_mm) + 1.0) / CELL_MM))))
+    cells = int(2 ** np.ceil(np.log2(max(64.0, 2.0 * (np.ptp(height_mm) + 1.0) / CELL_MM))))
     bins = np.clip(((height_mm - height_mm.min()) / CELL_MM).astype(np.intp), 0, cells - 1)
     frequency = np.arange(cells // 2) / (cells * CELL_MM)
     band = np.flatnonzero((frequency >= 1.0 / pitch_high_mm) & (frequency <= 1.0 / pitch_low_mm))
