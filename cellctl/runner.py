@@ -34,14 +34,14 @@ from hal.config import CellConfig, Level
 from hal.errors import DeviceError
 from hal.fake.fault_file import Fault
 from hal.fake.truth import Truth, truth_of
-from hal.jobs import InlineJobs
+from hal.jobs import InlineJobs, Jobs
 
 ENDED = (State.COMPLETE, State.HELD, State.STOPPED, State.ABORTED)
 
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What is to be run. `level`, `points` and `overrides` stand in the cell's `[twin]`."""
+    """What is to be run. `level`, `points` and `overrides` stand in the cell's `[twin]`; `jobs` render and measure."""
 
     recipe: Recipe
     config: CellConfig
@@ -52,6 +52,7 @@ class RunRequest:
     keep: Keep = "decision"
     rotor_serial: str = "R-1"
     shaft_serial: str = "S-1"
+    jobs: Jobs = field(default_factory=InlineJobs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ def run_once(request: RunRequest) -> Outcome:
 
 
 async def _run(request: RunRequest) -> Outcome:
-    twin = fake_cell(request.recipe, request.config, InlineJobs(), seed=request.seed, faults=request.faults)
+    twin = fake_cell(request.recipe, request.config, request.jobs, seed=request.seed, faults=request.faults)
     stamps = VirtualStamps(request.seed)
     events = EventLog(stamps.now)
     controller = Controller(twin.cell, events, safe_deadline_s=request.config.cell.safe_deadline_s)
@@ -122,7 +123,7 @@ async def _run(request: RunRequest) -> Outcome:
     bench = Bench(
         devices=twin.cell,
         interlock=twin.cell.guard,
-        vision=VisionWorker(InlineJobs(), calibration, seed=request.seed),
+        vision=VisionWorker(request.jobs, calibration, seed=request.seed),
         config=request.config,
         calibration=calibration,
         store=store,
@@ -165,10 +166,18 @@ async def _to_the_end(controller: Controller, cell: Cell, assembly: Assembly) ->
 
 
 def with_twin(
-    config: CellConfig, *, level: Level | None = None, overrides: Mapping[str, float] | None = None
+    config: CellConfig,
+    *,
+    level: Level | None = None,
+    points: int | None = None,
+    overrides: Mapping[str, float] | None = None,
 ) -> CellConfig:
     """The same cell on another twin."""
     twin = config.twin.model_copy(
-        update={"level": level or config.twin.level, "overrides": {**config.twin.overrides, **(overrides or {})}}
+        update={
+            "level": level or config.twin.level,
+            "points": points or config.twin.points,
+            "overrides": {**config.twin.overrides, **(overrides or {})},
+        }
     )
     return config.model_copy(update={"twin": twin})

@@ -23,6 +23,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--cell", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=None, help="default: the cell file's")
     parser.add_argument("--level", choices=("ideal", "nominal", "hostile"))
+    parser.add_argument("--points", type=points_of, help="pixels of a cloud; default: the cell file's")
     parser.add_argument("--faults", type=Path, help="fault file")
     parser.add_argument("--force", action="append", default=[], choices=CHECK_NAMES, metavar="CHECK")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a number of the twin")
@@ -38,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from hal.fake.fault_file import load_faults
 
     try:
-        config = with_twin(load_cell(args.cell), level=args.level, overrides=numbers_of(args.set))
+        config = with_twin(load_cell(args.cell), level=args.level, points=args.points, overrides=numbers_of(args.set))
         request = RunRequest(
             recipe=load_recipe(args.recipe),
             config=config,
@@ -60,6 +61,14 @@ def run(args: argparse.Namespace) -> int:
             print(f"  {reason}")
         print(f"record: {outcome.record}")
     return EXIT[outcome.verdict]
+
+
+def points_of(text: str) -> int:
+    """Pixels of a cloud, in the limits of the cell file. Raises ValueError."""
+    points = int(text)
+    if not 10_000 <= points <= 5_000_000:
+        raise ValueError(f"{points} pixels are outside 10000 to 5000000")
+    return points
 
 
 def numbers_of(pairs: list[str]) -> dict[str, float]:
