@@ -13,7 +13,9 @@ def wilson(successes: int, runs: int, *, z: float = 1.959963984540054) -> tuple[
     middle = p + z * z / (2 * runs)
     half = z * math.sqrt(p * (1 - p) / runs + z * z / (4 * runs * runs))
     scale = 1 + z * z / runs
-    return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
+    # At the ends the closed form leaves a rounding error where the bound is exact.
+    low = (middle - half) / scale if successes else 0.0
+    return low, (middle + half) / scale if successes < runs else 1.0
 
 
 def quantile(values: list[float], q: float) -> float:

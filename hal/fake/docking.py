@@ -42,12 +42,14 @@ class PoseError:
 
 
 def dock_forces(dock: Dock) -> DockForces:
-    """Insert until the spigot is about to engage, whatever the force."""
-    gaps = gap_grid(dock)
-    curve = force_curve(dock, gaps[gaps > dock.geometry.spigot_length_mm])
+    """Insert until the spigot is about to engage, whatever the force: studs that jam carry what the column yields."""
+    gaps, spigot = gap_grid(dock), dock.geometry.spigot_length_mm
+    curve = force_curve(dock, gaps[gaps > spigot])
+    left_mm = max(float(dock.motor_mm(dock.heights_mm(np.array([spigot])))[0] - curve.z_mm[-1]), 0.0)
+    stall_n = curve.stall_n_per_mm * left_mm if curve.jammed.any() else 0.0
     return DockForces(
-        peak_n=curve.stud_in_n.max(axis=0),
-        peak_total_n=float(curve.in_n.max()),
+        peak_n=curve.stud_in_n.max(axis=0) + stall_n * curve.stall_share,
+        peak_total_n=float(curve.in_n.max()) + stall_n,
         inserted=np.full(dock.geometry.count, not curve.jammed.any()),
     )
 
