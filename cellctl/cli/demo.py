@@ -95,7 +95,8 @@ class _Say:
         if event["kind"] == "progress":
             self.line(f"{elapsed:6.1f} s  {data['phase']:8} {100 * data['fraction']:3.0f} %  {data['text']}")
         elif event["kind"] == "state":
-            self.line(f"{elapsed:6.1f} s  {data['state']}{': ' + data['why'] if data['why'] else ''}")
+            said = data["why"] or ("dry run on a private twin" if data["state"] == "Starting" else "")
+            self.line(f"{elapsed:6.1f} s  {data['state']}{': ' + said if said else ''}")
         elif event["kind"] == "alarm":
             self.line(f"{elapsed:6.1f} s  alarm: {data['text']}")
 

@@ -6,13 +6,17 @@ const PHASES = [["scan", "Scan"], ["align", "Align"], ["jack_up", "Jack up"], ["
 const LABELS = { reset: "Reset", hold: "Hold", unhold: "Unhold", suspend: "Suspend", unsuspend: "Unsuspend", clear: "Clear", complete: "Complete early" };
 const ABNORMAL = new Set(["Aborting", "Aborted", "Clearing"]);
 const ATTENTION = new Set(["Holding", "Held", "Suspending", "Suspended", "Stopping"]);
+const NEXT = { Starting: "the order is tried on a private twin, then the cell begins", Resetting: "re-arming: every set-point becomes what is measured", Idle: "ready for a job order", Complete: "waits for reset before the next order", Stopped: "reset makes it ready", Aborted: "look at the cell, then clear" };
 const STALE_MS = 20000;
+const BOLTS_MS = 1500;
+const NOT_ENDED = { verdict: null, reasons: [], sealed: false };
 const by = (id) => document.getElementById(id);
 const wait = (ms) => new Promise((done) => setTimeout(done, ms));
 
 let api = null;
 let heard = 0;
 let shownRun = "";
+let shownAt = 0;
 
 function token() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -54,7 +58,7 @@ function showProgress(cell) {
   const percent = Math.floor(100 * cell.progress.fraction);
   by("progress").value = cell.progress.fraction;
   by("percent").textContent = `${percent} %`;
-  by("text").textContent = cell.progress.text;
+  by("text").textContent = cell.state === "Execute" ? cell.progress.text : NEXT[cell.state] || cell.progress.text;
   const left = cell.progress.time_left_s;
   by("left").textContent = left === null ? "" : `about ${Math.ceil(left / 60)} min of cell time left`;
 }
@@ -79,7 +83,8 @@ async function showRun(cell) {
     return;
   }
   shownRun = cell.run_id;
-  const run = await api.get(`/runs/${cell.run_id}`);
+  shownAt = Date.now();
+  const run = cell.state === "Execute" ? NOT_ENDED : await api.get(`/runs/${cell.run_id}`);
   const joints = await api.get(`/runs/${cell.run_id}/joints`);
   by("bolts-summary").textContent = drawBolts(by("bolts"), joints, Boolean(run.verdict));
   by("result").hidden = !run.verdict;
@@ -110,13 +115,13 @@ async function follow() {
   const ended = new AbortController();
   let fresh = false;
   const look = (async () => {
-    for (let turn = 0; !ended.signal.aborted; turn += 1) {
+    while (!ended.signal.aborted) {
       await wait(300);
       if (Date.now() - heard > STALE_MS) ended.abort();
       if (!fresh) continue;
       fresh = false;
       const now = await truth();
-      if (turn % 5 === 0 || now.state !== "Execute") await showRun(now);
+      if (Date.now() - shownAt > BOLTS_MS || now.state !== "Execute") await showRun(now);
     }
   })();
   const listen = (async () => {
