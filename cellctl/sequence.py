@@ -23,21 +23,26 @@ T = TypeVar("T")
 async def assemble(run: RunContext) -> RunResult:
     """One whole assembly. Raises RunHeld where the run cannot go on by itself, and the errors of the devices."""
     await _phase(run, "scan", prepare(run))
-    scans = await _phase(run, "scan", scan(run))
+    scans = await _step(run, "scan", scan(run))
     aligned = await _phase(run, "align", align_shaft(run, scans))
     insertion = await _phase(run, "jack_up", jack_up(run, aligned))
     proof = await _phase(run, "heat", heat(run, aligned)) if run.recipe.heat.enabled else None
-    seating = await _phase(run, "heat", seat(run, aligned, insertion, proof))
+    seating = await _step(run, "heat", seat(run, aligned, insertion, proof))
     tightened = await _phase(run, "tighten", tighten(run))
-    closure = await _phase(run, "tighten", close_joint(run))
+    closure = await _step(run, "tighten", close_joint(run))
     verdict = evaluate(run.recipe, insertion, proof, seating, tightened, closure)
     await run.ledger.note("verdict", verdict)
     return RunResult(scans, aligned, insertion, proof, seating, tightened, closure, verdict)
 
 
 async def _phase(run: RunContext, name: str, step: Awaitable[T]) -> T:
-    """Report the phase, await its step, journal what it returned before the next one starts."""
+    """Begin a phase with its first step."""
     run.progress.report(name, 0.0, "started")
+    return await _step(run, name, step)
+
+
+async def _step(run: RunContext, name: str, step: Awaitable[T]) -> T:
+    """Await one step of the phase, journal what it returned before the next one starts."""
     result = await step
     await run.ledger.note(f"phase_{name}", result)
     return result
