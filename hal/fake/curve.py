@@ -19,7 +19,7 @@ DEEP_STEP_MM = 1.0
 SPIGOT_STEP_MM = 0.05
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ForceCurve:
     """Forces at ascending motor heights `z_mm` (m,); newton, compression of the jack's sensor positive.
 
@@ -37,6 +37,8 @@ class ForceCurve:
     stall_n_per_mm: float
     stall_share: Array
     jammed: NDArray[np.bool_]
+    touches: bool
+    """Whether any stud touches anything."""
 
     def force_n(self, z_mm: Array, *, inwards: bool) -> Array:
         """Total contact force at motor heights `z_mm` (k,)."""
@@ -155,6 +157,7 @@ def _curve(
         stall_n_per_mm=stiffness,
         stall_share=share.astype(np.float64),
         jammed=jammed,
+        touches=bool(jammed.any() or lateral[:, :-1].any()),
     )
 
 

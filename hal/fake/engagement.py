@@ -21,6 +21,10 @@ Array = NDArray[np.float64]
 
 MOVING_STEP_MM = 0.001
 """Growth of hole circle or fit that calls for a new curve while the jack moves."""
+STANDING_STEP_MM = 0.0005
+"""Likewise while it stands."""
+CLAMPED_STEP_MM = 0.01
+"""Likewise while the nuts hold the joint."""
 NEAR_MM = 1.0
 """Half the height of a local curve while the jack stands among the studs."""
 
@@ -80,6 +84,7 @@ class Engagement:
         self._curve: ForceCurve | None = None
         self._local_key: tuple[object, ...] = ()
         self._local: ForceCurve | None = None
+        self._recorded: tuple[ForceCurve, float, float] | None = None
 
     def curve(self, dock: Dock) -> ForceCurve:
         """The whole curve of `dock`, from the cache where nothing has moved."""
@@ -98,21 +103,26 @@ class Engagement:
         jammed = self._curve is not None and bool(self._curve.jammed.any())
         if jammed or dock.clamp_force_n > 0.0 or not geometry.spigot_length_mm + NEAR_MM < gap < studs_in:
             return self.curve(dock)
-        key = (round(z_mm, 3), *_key(dock, 0.1 * MOVING_STEP_MM))
+        key = (round(z_mm, 3), *_key(dock, STANDING_STEP_MM))
         if self._local is None or key != self._local_key:
             around = np.array([gap + 0.9 * NEAR_MM, gap, gap - 0.9 * NEAR_MM])
             self._local_key, self._local = key, force_curve(dock, around)
         return self._local
 
-    def record(self, curve: ForceCurve, low_mm: float, high_mm: float, seat_gap_mm: float) -> None:
+    def record(self, curve: ForceCurve, low_mm: float, high_mm: float, seat_gap_mm: float) -> bool:
         """The jack's motor was in [low, high] under `curve`; where the gap is below `seat_gap_mm` the joint is being
-        seated."""
+        seated. Returns whether a stud can have been touched."""
+        seen = (curve, low_mm, high_mm)
+        if not curve.touches or seen == self._recorded:
+            return False
+        self._recorded = seen
         axial, lateral = curve.stud_peaks_n(low_mm, high_mm, above_gap_mm=seat_gap_mm)
         self.peak_n = np.maximum(self.peak_n, axial)
         self.lateral_peak_n = np.maximum(self.lateral_peak_n, lateral)
         inside = np.unique(np.clip(curve.z_mm[curve.gap_mm > seat_gap_mm], low_mm, high_mm))
         if inside.size:
             self.peak_total_n = max(self.peak_total_n, float(curve.force_n(inside, inwards=True).max()))
+        return True
 
     def enter(self, dock: Dock) -> None:
         """The studs have just passed the chamfers: remember how well the shaft stood."""
@@ -150,6 +160,8 @@ def closing_resistance_n(dock: Dock) -> float:
 def _key(dock: Dock, step_mm: float) -> tuple[object, ...]:
     radius = 0.5 * dock.geometry.circle_diameter_mm
     at = dock.motors
+    if dock.clamp_force_n > 0.0:
+        step_mm = CLAMPED_STEP_MM
     return (
         id(dock.rotor),
         id(dock.shaft),

@@ -100,6 +100,7 @@ class Plant:
         self.shaft = draw_shaft(self.geometry, self.numbers, seed, shaft_serial)
         self.slip_deg = 0.0
         self.loaded_s = self.now
+        self._last_gap_mm = self.bench.rotor_face_mm - self.motion["jack"].position(self.now)
         self.engagement = Engagement(self.geometry.count)
         self.damages = []
 
@@ -117,25 +118,27 @@ class Plant:
 
     def _closing(self) -> bool:
         """Whether the jack moves where the gap decides the heat flow."""
-        return self.motion["jack"].moving(self.now) and self.gap_mm() < 2.0 * self.geometry.spigot_length_mm
+        return self.motion["jack"].moving(self.now) and self._last_gap_mm < 2.0 * self.geometry.spigot_length_mm
 
     def _step(self, now: float) -> None:
-        self.thermal.advance(now, self.gap_mm())
+        self.thermal.advance(now, self._last_gap_mm)
         before, self.now = self.now, now
         self._collide(before)
         jack = self.motion["jack"]
-        low, high = sorted((jack.position(before), jack.position(now)))
+        at = jack.position(now)
+        low, high = sorted((jack.position(before), at))
         if not self._reaches(high):
+            self._last_gap_mm = self.bench.rotor_face_mm - at
             return
         dock = self.dock()
-        moving = high > low
-        curve = self.engagement.curve(dock) if moving else self.engagement.near(dock, high)
-        self.engagement.record(curve, low, high, self.geometry.spigot_length_mm)
-        worst = np.maximum(self.engagement.peak_n, self.engagement.lateral_peak_n)
-        for stud in np.flatnonzero(worst > self.numbers.properties.damage_force_n):
-            self.damage(f"stud {stud} was overloaded")
+        curve = self.engagement.curve(dock) if high > low else self.engagement.near(dock, high)
+        self._last_gap_mm = max(curve.gap_at(at), 0.0)
+        if self.engagement.record(curve, low, high, self.geometry.spigot_length_mm):
+            worst = np.maximum(self.engagement.peak_n, self.engagement.lateral_peak_n)
+            for stud in np.flatnonzero(worst > self.numbers.properties.damage_force_n):
+                self.damage(f"stud {stud} was overloaded")
         entered = self.geometry.entry_gap_mm - self.geometry.lead_in_mm - self.geometry.chamfer_depth_mm
-        if moving and curve.gap_at(low) > entered >= curve.gap_at(high):
+        if high > low and curve.gap_at(low) > entered >= curve.gap_at(high):
             self.engagement.enter(dock)
 
     def _reaches(self, motor_mm: float) -> bool:
