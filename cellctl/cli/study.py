@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from cellctl.studies.dock import DockStudy, PoseSigma
 
 ROOT = Path(__file__).parents[2]
+RECIPE = ROOT / "recipes" / "lpt_shaft_36.toml"
+CELL = ROOT / "deploy" / "cell.fake.toml"
 TOLD_EVERY_S = 10.0
 
 
@@ -45,8 +47,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--level", choices=("ideal", "nominal", "hostile"), default="nominal")
     parser.add_argument("--points", type=int, help="of a cloud; default: the cell file's")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
-    parser.add_argument("--recipe", type=Path, default=ROOT / "recipes" / "lpt_shaft_36.toml")
-    parser.add_argument("--cell", type=Path, default=ROOT / "deploy" / "cell.fake.toml")
+    parser.add_argument("--recipe", type=Path, default=RECIPE)
+    parser.add_argument("--cell", type=Path, default=CELL)
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="also put the result into FILE and its .md table")
     parser.add_argument("--json", action="store_true", help="one JSON document on standard output")
     parser.set_defaults(run=run)
 
@@ -54,7 +57,9 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the study and print it."""
     from cellctl.studies.dock import run_study, summary
+    from cellctl.studies.figures import add_figure, provenance
 
+    began = time.monotonic()
     try:
         study = study_of(args)
         _tell(f"docks with the seeds {study.seeds()[0]} to {study.seeds()[-1]}, level {study.config.twin.level}")
@@ -63,6 +68,9 @@ def run(args: argparse.Namespace) -> int:
         _tell(f"cellctl study: {error}")
         return 2
     document = asked(study) | summary(outcomes)
+    if args.figure is not None:
+        cost = {"wall_s": round(time.monotonic() - began, 1), "cpu_s": round(os.times().children_user, 1)}
+        add_figure(args.figure, provenance(command_of(args), ROOT) | document | cost)
     print(json.dumps(document, allow_nan=False) if args.json else as_text(document))
     return 0
 
@@ -92,6 +100,20 @@ def _sigma(args: argparse.Namespace) -> PoseSigma | None:
         if value is not None and not (math.isfinite(value) and value >= 0.0):
             raise ConfigError("must be finite and not negative", place=place)
     return PoseSigma(args.theta_sigma_deg or 0.0, args.xy_sigma_mm or 0.0)
+
+
+def command_of(args: argparse.Namespace) -> list[str]:
+    """The command as it would be typed again, without what changes no result."""
+    words = ["cellctl", "study", "dock", "--runs", str(args.runs), "--seed", str(args.seed)]
+    optional = {"--theta-sigma-deg": args.theta_sigma_deg, "--xy-sigma-mm": args.xy_sigma_mm, "--points": args.points}
+    for name, value in optional.items():
+        words += [name, str(value)] if value is not None else []
+    for pair in args.set:
+        words += ["--set", pair]
+    words += ["--level", args.level] if args.level != "nominal" else []
+    for name, path, usual in (("--recipe", args.recipe, RECIPE), ("--cell", args.cell, CELL)):
+        words += [name, path.name] if path != usual else []
+    return words
 
 
 def asked(study: DockStudy) -> dict[str, Any]:
