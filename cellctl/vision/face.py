@@ -141,6 +141,9 @@ def _matched_radii(part: Part, pattern: PatternPose, positions: Array, radii: Ar
     nearest = distance.argmin(axis=1)
     seen = np.where(distance[np.arange(part.count), nearest] < radii[nearest], radii[nearest], np.nan)
     expected = void_radii(part)
+    if part.diameter_mm is None and np.isfinite(seen).any():  # a torn void looks smaller than it is
+        middle = float(np.nanmedian(seen))
+        seen = np.where((seen > 0.85 * middle) & (seen < 2.0 * middle), seen, middle)
     usual = float(np.nanmedian(seen / expected)) if np.isfinite(seen / expected).any() else 1.0
     # a chamfered mouth is known from the drawing; a tapped one is what the face shows
     guess = expected if part.chamfer_diameter_mm is not None else np.where(np.isfinite(seen), seen, expected * usual)

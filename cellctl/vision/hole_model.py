@@ -132,6 +132,19 @@ def residuals(samples: Samples, parameters: Array, labels: NDArray[np.int8]) -> 
     return value, design
 
 
+def facing(samples: Samples, parameters: Array, labels: NDArray[np.int8]) -> Array:
+    """Cosine (M,) of the angle between ray and surface normal at each point, 1 where no pinhole is known."""
+    if samples.eyes is None:
+        return np.ones(len(samples.points))
+    p = parameters[samples.owner]
+    ray = samples.points - samples.eyes[samples.owner]
+    ray = ray / np.linalg.norm(ray, axis=1)[:, None]
+    q = samples.points[:, :2] - p[:, [CU, CV]]
+    out = (q * ray[:, :2]).sum(axis=1) / np.maximum(np.hypot(q[:, 0], q[:, 1]), 1e-9)
+    cone = (out - samples.slope * ray[:, 2]) / np.sqrt(1.0 + samples.slope**2)
+    return np.asarray(np.abs(np.where(labels == FACE, ray[:, 2], np.where(labels == CONE, cone, out))))
+
+
 def fit(samples: Samples, start: Array, sigma_mm: float, *, rounds: int = 12) -> HoleFits:
     """Gauss-Newton with Tukey weights on all holes; the scale of each surface comes from the pooled residuals."""
     parameters = start.copy()

@@ -15,14 +15,17 @@ from scipy import linalg
 from cellctl.vision.geometry import Array
 from cellctl.vision.hole_model import (
     CHAMFER,
+    CONE,
     CU,
     CV,
+    CYLINDER,
     FACE,
     SIZE,
     TILT_U,
     WALL,
     HoleFits,
     Samples,
+    facing,
     label,
     priors,
     residuals,
@@ -34,6 +37,7 @@ RING_LENGTHS = 1.5  # width of the ring of face that is used, in correlation len
 ROUNDS = 3
 LEAST_WHITE = 0.02
 ROUGHER = 0.9
+MODEL_FLOOR = 0.06  # of the noise: what the model of shapes and noise leaves out stays in the centre
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,8 @@ def refine(samples: Samples, fits: HoleFits, noise: SharedNoise, pixels: Array, 
     value, _ = residuals(samples, parameters, labels)
     count = len(parameters)
     near = _near(samples, parameters, labels, value, fits.sigma_mm, RING_LENGTHS * noise.length_px * pitch_mm)
-    holes = [_hole(samples, k, near, labels, pixels, noise, fits.sigma_mm) for k in range(count)]
+    amplitude = _amplitude(samples, parameters, labels, fits.sigma_mm)
+    holes = [_hole(samples, k, near, labels, pixels, noise, amplitude) for k in range(count)]
     prior = priors(samples.chamfered)
     scale = fits.sigma_mm * np.sqrt(max(1.0 - noise.share, LEAST_WHITE))
     left: list[Array] = [np.zeros(0)] * count
@@ -95,7 +100,9 @@ def _sandwich(solved: _Solved, hole: _Hole, noise: SharedNoise, prior: Array) ->
     rougher = SharedNoise(ROUGHER * noise.length_px, noise.share - min(noise.share, 1.0 - ROUGHER) * 0.1)
     influence = solved.influence * hole.amplitude[:, None]
     scatter = influence.T @ correlated(influence, hole.pixels, rougher) + np.diag(prior)
-    return np.asarray(solved.covariance @ scatter @ solved.covariance)
+    covariance = np.asarray(solved.covariance @ scatter @ solved.covariance)
+    covariance[[CU, CV], [CU, CV]] += (MODEL_FLOOR * float(np.abs(hole.amplitude).max())) ** 2
+    return covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,16 +145,32 @@ def _near(
 
 def _hole(
     samples: Samples, k: int, near: NDArray[np.bool_], labels: NDArray[np.int8], pixels: Array, noise: SharedNoise,
-    sigma_mm: Array,
+    amplitude: Array,
 ) -> _Hole:  # fmt: skip
     index = np.arange(samples.starts[k], samples.starts[k + 1])
     index = index[near[index]]
     own = labels[index]
     if len(index) < 2 * SIZE:
         return _Hole(index, own, pixels[index], np.zeros(len(index)), np.zeros((len(index), 0)))
-    amplitude = sigma_mm[own] * np.where(own == FACE, -1.0, 1.0)
-    field = field_basis(pixels[index], noise) * (np.sqrt(noise.share) * amplitude)[:, None]
-    return _Hole(index, own, pixels[index], amplitude, field)
+    field = field_basis(pixels[index], noise) * (np.sqrt(noise.share) * amplitude[index])[:, None]
+    return _Hole(index, own, pixels[index], amplitude[index], field)
+
+
+def _amplitude(samples: Samples, parameters: Array, labels: NDArray[np.int8], sigma_mm: Array) -> Array:
+    """Signed noise (M,) across the surface at each point.
+
+    A camera's noise along the ray may or may not grow on surfaces seen at a slant: across the surface it goes with a
+    power of the cosine between 0 and 1, which the walls, seen most at a slant, tell against the face.
+    """
+    cosine = np.maximum(facing(samples, parameters, labels), 0.05)
+    middle = np.array(
+        [float(np.median(cosine[labels == kind])) if (labels == kind).any() else 1.0 for kind in range(3)]
+    )
+    wall = CYLINDER if middle[CYLINDER] < 0.8 else CONE
+    slant = np.log(middle[wall] / middle[FACE])
+    power = float(np.clip(np.log(sigma_mm[wall] / sigma_mm[FACE]) / slant, 0.0, 1.0)) if slant < -0.1 else 0.0
+    kind = np.maximum(labels, 0)
+    return np.asarray(sigma_mm[kind] * (cosine / middle[kind]) ** power * np.where(kind == FACE, -1.0, 1.0))
 
 
 def _weights(left: Array, labels: NDArray[np.int8], scale: Array) -> Array:

@@ -117,21 +117,25 @@ def _outlines(
 ) -> list[Outline | None]:  # fmt: skip
     """Outline at every nominal place; a second time with the usual radius of holes that are drawn alike."""
     # at an edge a camera blurs and lifts the surface: without a chamfer to confuse it with, all of that is face
-    band = 4.0 * sigma_mm if part.chamfer_diameter_mm is not None else max(4.0 * sigma_mm, 2.0 * spacing_mm)
+    band = 4.0 * sigma_mm if part.chamfer_diameter_mm is not None else max(4.0 * sigma_mm, 3.0 * spacing_mm)
     faces = []
     for k in range(part.count):
         around = points[starts[k] : starts[k + 1]]
         faces.append(around[np.abs(around[:, 2]) < band, :2])
     first = [fit_outline(faces[k], centres[k], float(radii_mm[k]), spacing_mm) for k in range(part.count)]
     sizes = np.array([np.nan if outline is None else outline.radius_mm + 0.5 * spacing_mm for outline in first])
-    drawn = np.zeros(part.count) if part.diameter_mm is None else np.asarray(part.diameter_mm)
+    if part.chamfer_diameter_mm is not None or not np.isfinite(sizes).any():
+        return list(first)  # with a chamfer the outline is only the start of the model's fit
+    # without sizes in the recipe, those near the middle one count as drawn alike
+    near = np.abs(sizes / np.nanmedian(sizes) - 1.0) < 0.12
+    drawn = np.where(near, 0.0, np.nan) if part.diameter_mm is None else np.asarray(part.diameter_mm)
     result = list(first)
-    for size in np.unique(drawn):
-        alike = np.flatnonzero((drawn == size) & np.isfinite(sizes))
-        if len(alike) < 3 or part.diameter_mm is None or part.chamfer_diameter_mm is not None:
-            continue  # with a chamfer the outline is only the start of the model's fit
-        usual = float(np.median(sizes[alike]))
-        for k in np.flatnonzero(drawn == size):
+    for size in np.unique(drawn[np.isfinite(drawn)]):
+        group = np.flatnonzero(drawn == size)
+        if np.count_nonzero(np.isfinite(sizes[group])) < 3:
+            continue
+        usual = float(np.nanmedian(sizes[group]))
+        for k in map(int, group):
             result[k] = fit_outline(faces[k], centres[k], usual, spacing_mm, radius_sigma_mm=0.1 * spacing_mm)
     return result
 

@@ -21,6 +21,7 @@ from cellctl.vision.pattern import PatternFit, fit_pattern, symmetry
 from cellctl.vision.plane import fit_face
 from cellctl.vision.quality import coverage, nearness
 from cellctl.vision.shared_noise import estimate
+from cellctl.vision.studs import measure_studs
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +87,7 @@ def _features(
 ) -> tuple[FeatureFit, ...]:
     """Every feature of the part, in the cloud's frame."""
     if part.feature == "stud":
-        from cellctl.vision.studs import measure_studs
-
-        T0 = pose(frame.axes.T, frame.origin)
-        return measure_studs(grid, face, part, T0)
+        return measure_studs(grid, face, part, pose(frame.axes.T, frame.origin), viewpoint=pinhole)
     local = frame.into(flat)
     holes = measure_holes(local, part, found.radii_mm, _sight(grid, local, frame, face, found, part, pinhole))
     return tuple(_feature(index, hole, frame, face) for index, hole in enumerate(holes))

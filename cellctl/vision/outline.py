@@ -8,6 +8,9 @@ import numpy as np
 
 from cellctl.vision.geometry import Array
 
+# an edge scatters with long tails that still carry its place: cut later than where noise is normal
+EDGE_TUKEY = 6.0
+
 
 @dataclass(frozen=True, slots=True)
 class Outline:
@@ -46,7 +49,7 @@ def fit_outline(
             rho = np.hypot(*offset.T)
             residual = rho - radius
             scatter = max(1.4826 * float(np.median(np.abs(residual))), 0.05 * spacing_mm)
-            weights = np.clip(1.0 - (residual / (4.0 * scatter)) ** 2, 0.0, None) ** 2
+            weights = np.clip(1.0 - (residual / (EDGE_TUKEY * scatter)) ** 2, 0.0, None) ** 2
             kept = weights > 0.0
             if np.count_nonzero(kept) < 8:
                 return None

@@ -101,3 +101,23 @@ def test_stress() -> None:
         assert measured.found >= 29
         worst.append(np.nanmax(np.abs(centre_errors(view, measured)[:, :2])))
     assert max(worst) < 0.15
+
+
+def test_holes_without_a_chamfer() -> None:
+    rng = np.random.default_rng(12)
+    part = replace(SHAFT, chamfer_diameter_mm=None)
+    view = view_of(part, rng, 500)
+    measured = measure_part(render(view, rng), part)
+    assert measured.found == 36
+    error = centre_errors(view, measured)[:, :2]
+    assert np.sqrt((error**2).sum(axis=1).mean()) < 0.02
+    assert np.median([feature.radius_mm or 0.0 for feature in measured.features]) == pytest.approx(4.15, abs=0.01)
+
+
+def test_sizes_that_the_recipe_does_not_give_are_estimated() -> None:
+    rng = np.random.default_rng(13)
+    view = replace(view_of(FLANGE, rng, 400), field_mm=230.0)
+    bare = Part(feature="hole", circle_diameter_mm=150.0, angles_deg=FLANGE.angles_deg, index_feature=0)
+    measured = measure_part(render(view, rng), bare)
+    assert measured.found == 7
+    assert np.abs(centre_errors(view, measured)[:, :2]).max() < 0.3
