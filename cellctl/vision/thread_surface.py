@@ -8,7 +8,7 @@ is compared with the measured one, which keeps the crest free of the bias of a l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +69,10 @@ def depths(rays: Rays, own: Array, shared: Array, form: Form) -> Depths:
     entries[TIP] = (form.tip_mm[rays.stud] - track.s) / np.where(track.ds < -0.05, track.ds, -np.inf)
     entries[LEAD_IN] = track.entry(LEAD_IN)
     if form.hand:
+        shallow = FLANK * np.abs(track.ds) < np.hypot(track.dx, track.dy)
+        track = track.on_ridge(entries.max(axis=0), shallow)
         entries[UPPER] = track.entry(UPPER)
-        if np.any(FLANK * np.abs(track.ds) < np.hypot(track.dx, track.dy)):
+        if shallow.any():
             entries[LOWER] = track.entry(LOWER)
     met = entries.argmax(axis=0).astype(np.int8)
     ahead = entries.max(axis=0)
@@ -81,8 +83,7 @@ def depths(rays: Rays, own: Array, shared: Array, form: Form) -> Depths:
 class _Track:
     """Each ray in its stud's own frame: position x, y, s at the measured point and change dx, dy, ds per mm along it.
 
-    `ridge` (N,) is the number of the thread's ridge nearest to the measured point: noise of a tenth of the pitch does
-    not change it, because valleys are hidden or far.
+    `ridge` (N,) is the number of the thread's ridge that the ray meets.
     """
 
     x: Array
@@ -110,8 +111,20 @@ class _Track:
         s, ds = s + a[:, 2] * x + a[:, 3] * y, ds + a[:, 2] * dx + a[:, 3] * dy
         lead = form.hand * form.starts * pitch / (2.0 * np.pi)
         phase = form.middle_mm + a[:, 4]
-        ridge = np.rint((s - phase - lead * np.arctan2(y, x)) / pitch)
-        return cls(x, y, s, dx, dy, ds, phase, a[:, 5], ridge, radius, half_crest, pitch, lead)
+        return cls(x, y, s, dx, dy, ds, phase, a[:, 5], np.zeros(len(s)), radius, half_crest, pitch, lead)
+
+    def on_ridge(self, envelope: Array, shallow: NDArray[np.bool_]) -> _Track:
+        """The same rays with the ridge that each meets; `envelope` (N,) is where they enter crest, lead-in and tip.
+
+        A ray that comes down on the thread meets the ridge it is in when it enters the envelope, or the next below.
+        That does not depend on the measured depth, whose noise on a crest seen at a grazing angle reaches from one
+        ridge to the next. A shallow ray may meet either flank of a valley: the ridge nearest to the measured point.
+        """
+        at = np.where(shallow | ~np.isfinite(envelope), 0.0, envelope)
+        x, y = self.x + at * self.dx, self.y + at * self.dy
+        turns = (self.s + at * self.ds - self.phase - self.lead * np.arctan2(y, x)) / self.pitch
+        half = (self.half_crest + (self.radius - np.hypot(x, y)) / FLANK) / self.pitch
+        return replace(self, ridge=np.where(shallow, np.rint(turns), np.floor(turns + np.maximum(half, 0.0))))
 
     def crest_entry(self) -> Array:
         """Where the ray enters r = R; infinite where it passes beside."""
