@@ -7,7 +7,6 @@ belongs to the plant stays in here; controller, journal and API have no way to i
 from __future__ import annotations
 
 import asyncio
-import hashlib
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -145,7 +144,7 @@ class CellWorkplace:
             ),
             on_phase=lambda phase: faults.enter_phase(phase, loop.time()),
         )
-        return _Tried(assembly, lambda: self._dry_run(order.run_id, recipe))
+        return _Tried(assembly, lambda: self._dry_run(order, recipe))
 
     async def on_twin(self, recipe: Recipe, seed: int) -> TwinOutcome:
         """A run on a private twin in a worker process: the calibration's belief is its truth."""
@@ -155,10 +154,10 @@ class CellWorkplace:
         """From how long the phases took in the dry run."""
         return time_left_s(self._expected.get(snapshot.run_id or "", ()), snapshot.phase, snapshot.fraction)
 
-    async def _dry_run(self, run_id: str, recipe: Recipe) -> None:
-        seed = int.from_bytes(hashlib.sha256(run_id.encode()).digest()[:4], "big")
+    async def _dry_run(self, order: Order, recipe: Recipe) -> None:
+        seed = int(order.wanted.fingerprint[:8], 16)
         outcome = await self.on_twin(recipe, seed)
-        self._expected = {run_id: outcome.phases_s}
+        self._expected = {order.run_id: outcome.phases_s}
         if outcome.verdict != "accepted":
             reasons = "; ".join(outcome.reasons) or "no reason given"
             raise RunHeld("dry_run_refused", f"the dry run on the twin was {outcome.verdict}: {reasons}")

@@ -28,6 +28,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--cell", type=Path, default=ROOT / "deploy" / "cell.fake.toml", help="cell file (TOML)")
     parser.add_argument("--recipe", default="lpt_shaft_36", help="recipe to order (default lpt_shaft_36)")
     parser.add_argument("--recipe-version", type=int, default=1, help="its version (default 1)")
+    parser.add_argument("--order", help="id of the job order, which names the parts too (default: a new one)")
     parser.set_defaults(run=run)
 
 
@@ -40,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
         say.line(f"page   {service.url}/#token={service.token}")
         say.line(f"token  {service.token} (also in {service.data / 'demo-token'})")
         async with CellClient(service.url, service.token, timeout_s=None) as cell:
-            ended = await assembly(cell, args.recipe, args.recipe_version, say)
+            name = args.order or f"demo-{secrets.token_hex(4)}"
+            ended = await assembly(cell, name, (args.recipe, args.recipe_version), say)
         record = service.data / "runs" / ended.run_id / "record.zip"
         verdicts.append(ended.verdict)
         say.result(ended, record)
@@ -54,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if verdicts[0] == "accepted" else 3
 
 
-async def assembly(cell: CellClient, recipe: str, version: int, say: _Say) -> Run:
+async def assembly(cell: CellClient, name: str, of: tuple[str, int], say: _Say) -> Run:
     """Bring the cell to Idle, post one order, follow it to its end. Raises ClientError where it is refused."""
     while (now := await cell.cell()).state != "Idle":
         if command := WAYS_TO_IDLE.get(now.state):
@@ -63,7 +65,7 @@ async def assembly(cell: CellClient, recipe: str, version: int, say: _Say) -> Ru
         if now.state == "Stopped" and now.why and "demo" not in now.why:
             say.line(f"not ready: {now.why}")
             await asyncio.sleep(60.0)
-    name = f"demo-{secrets.token_hex(4)}"
+    recipe, version = of
     serials = Serials(rotor=f"R-{name}", shaft=f"S-{name}")
     start = now.event_sequence
     asked = JobOrderRequest(job_order_id=name, recipe=recipe, recipe_version=version, serials=serials)
