@@ -40,6 +40,11 @@ class ForceCurve:
     touches: bool
     """Whether any stud touches anything."""
 
+    @property
+    def stalled(self) -> bool:
+        """Whether studs stand on the face and keep the shaft down."""
+        return self.gap_mm[-1] > 0.0 and bool(self.jammed.any())
+
     def force_n(self, z_mm: Array, *, inwards: bool) -> Array:
         """Total contact force at motor heights `z_mm` (k,)."""
         force = np.interp(z_mm, self.z_mm, self.in_n if inwards else self.out_n)
@@ -115,7 +120,12 @@ def force_curve(dock: Dock, gaps_mm: Array | None = None) -> ForceCurve:
 
 
 def jams(dock: Dock, met: Meeting, profile: EntryProfile) -> NDArray[np.bool_]:
-    """(n,) studs whose end would meet the face outside the chamfer, or a cone beyond the wedging limit."""
+    """(n,) studs whose end would meet the face outside the chamfer, or a cone beyond the wedging limit.
+
+    None where the heights begin with the studs inside: what is in the hole bends, it does not jump out.
+    """
+    if float(met.gap_mm[0].max()) < dock.geometry.stud_length_mm:
+        return np.zeros(dock.geometry.count, dtype=bool)
     depth = dock.geometry.stud_length_mm - met.gap_mm
     entry = np.argmin(np.abs(depth), axis=0)
     touch = np.take_along_axis(met.offset_mm(np.zeros_like(depth)), entry[None, :, None], axis=0)[0]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.fake.curve import ForceCurve, force_curve
+from hal.fake.curve import ForceCurve, force_curve, gap_grid
 from hal.fake.docking import PoseError, at_best_pose, pose_error
 from hal.fake.insertion import Dock
 from hal.fake.motion import AxisMotion
@@ -86,28 +86,35 @@ class Engagement:
         self._local: ForceCurve | None = None
         self._recorded: tuple[ForceCurve, float, float] | None = None
 
-    def curve(self, dock: Dock) -> ForceCurve:
-        """The whole curve of `dock`, from the cache where nothing has moved."""
-        key = _key(dock, MOVING_STEP_MM)
+    def curve(self, dock: Dock, low_mm: float) -> ForceCurve:
+        """A curve of `dock` that holds from motor height `low_mm` on: without the entry where the studs are in."""
+        inside = _studs_in(dock, self._gap(dock, low_mm)) and not self._jammed()
+        key = (inside, *_key(dock, MOVING_STEP_MM))
         if self._curve is None or key != self._key:
-            self._key, self._curve = key, force_curve(dock)
+            self._key, self._curve = key, force_curve(dock, _inner_grid(dock) if inside else None)
         return self._curve
 
     def near(self, dock: Dock, z_mm: float) -> ForceCurve:
         """A curve that holds at motor height `z_mm`: a small one where the studs are in and the jack stands there."""
-        if self._curve is not None and _key(dock, MOVING_STEP_MM) == self._key:
+        gap = self._gap(dock, z_mm)
+        inside = _studs_in(dock, gap) and not self._jammed()
+        if self._curve is not None and (inside, *_key(dock, MOVING_STEP_MM)) == self._key:
             return self._curve
-        gap = dock.bench.rotor_face_mm - float(dock.T_cell_shaft(dock.true_mm(np.array([z_mm])))[0, 2, 3])
-        geometry = dock.geometry
-        studs_in = geometry.entry_gap_mm - geometry.lead_in_mm - geometry.chamfer_depth_mm - NEAR_MM
-        jammed = self._curve is not None and bool(self._curve.jammed.any())
-        if jammed or dock.clamp_force_n > 0.0 or not geometry.spigot_length_mm + NEAR_MM < gap < studs_in:
-            return self.curve(dock)
+        if not inside or dock.clamp_force_n > 0.0 or gap <= dock.geometry.spigot_length_mm + NEAR_MM:
+            return self.curve(dock, z_mm)
         key = (round(z_mm, 3), *_key(dock, STANDING_STEP_MM))
         if self._local is None or key != self._local_key:
             around = np.array([gap + 0.9 * NEAR_MM, gap, gap - 0.9 * NEAR_MM])
             self._local_key, self._local = key, force_curve(dock, around)
         return self._local
+
+    def _jammed(self) -> bool:
+        return self._curve is not None and self._curve.stalled
+
+    @staticmethod
+    def _gap(dock: Dock, z_mm: float) -> float:
+        """Gap where nothing touched, within the micrometres of jack and chuck."""
+        return dock.bench.rotor_face_mm - z_mm
 
     def record(self, curve: ForceCurve, low_mm: float, high_mm: float, seat_gap_mm: float) -> bool:
         """The jack's motor was in [low, high] under `curve`; where the gap is below `seat_gap_mm` the joint is being
@@ -155,6 +162,17 @@ def closing_resistance_n(dock: Dock) -> float:
         geometry, dock.interference_mm, properties.stud_modulus_n_per_mm2, properties.friction_coefficient
     )
     return press + float(dock.faces().force_n(np.zeros(1))[0])
+
+
+def _studs_in(dock: Dock, gap_mm: float) -> bool:
+    geometry = dock.geometry
+    return gap_mm < geometry.entry_gap_mm - geometry.lead_in_mm - geometry.chamfer_depth_mm - 2.0 * NEAR_MM
+
+
+def _inner_grid(dock: Dock) -> Array:
+    """The part of the grid beyond the entry, from well before the studs count as in."""
+    gaps = gap_grid(dock)
+    return gaps[[_studs_in(dock, gap - NEAR_MM) for gap in gaps]]
 
 
 def _key(dock: Dock, step_mm: float) -> tuple[object, ...]:

@@ -131,7 +131,7 @@ class Plant:
             self._last_gap_mm = self.bench.rotor_face_mm - at
             return
         dock = self.dock()
-        curve = self.engagement.curve(dock) if high > low else self.engagement.near(dock, high)
+        curve = self.engagement.curve(dock, low) if high > low else self.engagement.near(dock, high)
         self._last_gap_mm = max(curve.gap_at(at), 0.0)
         if self.engagement.record(curve, low, high, self.geometry.spigot_length_mm):
             worst = np.maximum(self.engagement.peak_n, self.engagement.lateral_peak_n)
@@ -176,7 +176,7 @@ class Plant:
         trajectory = motion.stop(acceleration, now, self.numbers.properties.brake_delay_s)
         if axis == "jack" and self._reaches(trajectory.target):
             dock = self.dock()
-            curve = self.engagement.curve(dock)
+            curve = self.engagement.curve(dock, trajectory.target)
             self.engagement.stopped(curve, motion, dock, speed, acceleration, now)
         return self._changed(trajectory)
 
@@ -277,7 +277,7 @@ class Plant:
             return np.asarray(weight + friction)
         dock = self.dock()
         still = float(z.max()) == float(z.min())
-        curve = self.engagement.near(dock, float(z[0])) if still else self.engagement.curve(dock)
+        curve = self.engagement.near(dock, float(z[0])) if still else self.engagement.curve(dock, float(z.min()))
         swing = self.engagement.ring.at(time_s) if self.engagement.ring else 0.0
         contact = np.where(way > 0.0, curve.force_n(z + swing, inwards=True), curve.force_n(z + swing, inwards=False))
         return np.asarray(np.maximum(weight + contact, 0.0) + friction)

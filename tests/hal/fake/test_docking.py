@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,8 +16,8 @@ from tests.hal.fake.bench_plant import plant_of
 
 
 @functools.cache
-def best_dock(seed: int, stiffness: float) -> Dock:
-    return at_best_pose(plant_of(seed=seed, overrides={"lateral_stiffness_n_per_mm": stiffness}).dock())
+def best_dock(seed: int) -> Dock:
+    return at_best_pose(plant_of(seed=seed).dock())
 
 
 def rates(runs: int, theta_sigma_deg: float, xy_sigma_mm: float, *, stiffness: float = 1000.0) -> tuple[float, float]:
@@ -25,7 +26,9 @@ def rates(runs: int, theta_sigma_deg: float, xy_sigma_mm: float, *, stiffness: f
     inserted, below = 0, 0
     for seed in range(runs):
         x, y, theta = rng.standard_normal(3) * (xy_sigma_mm, xy_sigma_mm, theta_sigma_deg)
-        forces = dock_forces(moved(best_dock(seed, stiffness), x, y, theta))
+        dock = moved(best_dock(seed), x, y, theta)
+        properties = replace(dock.properties, lateral_stiffness_n_per_mm=stiffness)
+        forces = dock_forces(replace(dock, properties=properties))
         inserted += bool(forces.inserted.all())
         below += bool(forces.peak_n.max() <= 10.0)
     return inserted / runs, below / runs
@@ -55,7 +58,7 @@ def test_a_stiffer_chuck_costs_successes() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_pose_error_is_what_the_shaft_was_moved_by(seed: int) -> None:
-    error = pose_error(moved(best_dock(seed, 1000.0), 0.05, -0.03, 0.02))
+    error = pose_error(moved(best_dock(seed), 0.05, -0.03, 0.02))
     assert (error.x_mm, error.y_mm) == pytest.approx((0.05, -0.03), abs=2e-4)
     assert error.theta_deg == pytest.approx(0.02, abs=1e-4)
 
@@ -70,7 +73,7 @@ def worst_mm(dock: Dock) -> float:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_best_pose_serves_the_worst_stud(seed: int) -> None:
-    dock = best_dock(seed, 1000.0)
+    dock = best_dock(seed)
     for x, y, theta in 0.003 * np.random.default_rng(seed).standard_normal((50, 3)):
         assert worst_mm(dock) < worst_mm(moved(dock, x, y, theta)) + 6e-4
 

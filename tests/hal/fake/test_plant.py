@@ -150,6 +150,17 @@ def test_growing_holes_press_on_the_studs_while_the_jack_stands() -> None:
     assert plant.engagement.lateral_peak_n.max() > 5.0
 
 
+def test_a_stage_that_moves_with_the_studs_inside_ruins_them() -> None:
+    plant = plant_of()
+    align(plant)
+    go(plant, "jack", 390.0)
+    go(plant, "stage_x", plant.motors().x_mm + 2.5)
+    assert plant.gap_mm() == pytest.approx(10.0, abs=0.1)
+    assert plant.engagement.lateral_peak_n.max() > 500.0
+    assert plant.damages
+    assert contact_n(plant) > 100.0
+
+
 def test_stopping_on_a_contact_swings_on_by_v_sqrt_km() -> None:
     ring = ring_of(1350.0, 100.0, 0.2, 1e6, 0.0, 0.0)
     assert ring is not None
