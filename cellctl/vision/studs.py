@@ -20,6 +20,10 @@ AXIS_PRIOR_DEG = 0.03
 """One sigma of a stud's lean against the face's normal: a tapped hole's perpendicularity, with room to spare."""
 MIN_POINTS = 25
 """Fewer points on a stud's thread and lead-in do not fix its axis."""
+MIN_SHARE = 0.5
+"""A smaller share of the points around a stud that fit it means that it is something else."""
+MIN_VOTERS, CLEAR_VOTE = 100, 0.35
+"""Points and score with which one stud alone says what thread it has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,65 +173,78 @@ def _vote(rays: Rays, centres: Array, tips: Array, pitch: float) -> ThreadVote:
 
 
 def _results(
-    solution: Solution,
-    form: Form,
-    ballot: ThreadVote | None,
-    seen: _Seen,
-    frame: PlaneFrame,
-    part: Part,
+    solution: Solution, form: Form, ballot: ThreadVote | None, seen: _Seen, frame: PlaneFrame, part: Part
 ) -> tuple[FeatureFit, ...]:
-    used = (solution.weights > 0) & (solution.surface < TIP)
-    thread = None
-    if ballot is not None:
-        sigma = np.sqrt(np.diag(solution.shared_covariance))
-        thread = (float(sigma[0]), float(sigma[2]))
+    on_side = solution.surface < TIP
+    used = (solution.weights > 0) & on_side
     fits = []
     for i in range(part.count):
-        mine = seen.rays.stud == i
-        n = int(np.count_nonzero(used & mine))
-        reason = _why_not(n, int(np.count_nonzero(mine)), solution.own_covariance[i], part.thread)
-        if reason:
-            fits.append(FeatureFit(i, False, points=n, reason=reason))
+        mine = (seen.rays.stud == i) & on_side
+        fit, there = int(np.count_nonzero(used & mine)), int(np.count_nonzero(mine))
+        reason = _why_not(fit, there, solution.own_covariance[i])
+        if not reason:
+            rms = float(np.sqrt(np.mean(solution.residuals_mm[used & mine] ** 2)))
+            fits.append(_found(i, solution, form, ballot, frame, fit, rms))
             continue
-        own = solution.own[i]
-        across = solution.own_covariance[i, :2, :2]
-        lean = float(np.sqrt(np.trace(solution.own_covariance[i, 2:4, 2:4]) / 2.0))
-        axis = np.array([own[2], own[3], 1.0])
-        fits.append(
-            FeatureFit(
-                index=i,
-                found=True,
-                center_mm=frame.out(np.array([own[0], own[1], 0.0])),
-                axis=axis @ frame.axes / np.linalg.norm(axis),
-                radius_mm=float(solution.shared[0]),
-                covariance_mm2=frame.axes[:2].T @ across @ frame.axes[:2],
-                axis_sigma_deg=float(np.degrees(lean)),
-                thread=_thread(solution, form, ballot, own, thread),
-                points=n,
-                residual_mm=float(np.sqrt(np.mean(solution.residuals_mm[used & mine] ** 2))),
-            )
-        )
+        if part.thread is not None and there >= MIN_VOTERS:
+            _check_alone(i, seen, solution.own[i], part.thread)
+        fits.append(FeatureFit(i, False, points=fit, reason=reason))
     return tuple(fits)
 
 
-def _thread(
-    solution: Solution, form: Form, ballot: ThreadVote | None, own: Array, sigma: tuple[float, float] | None
-) -> ThreadFit | None:
-    if ballot is None or sigma is None:
-        return None
-    radius, _, pitch = solution.shared
-    phase = (own[4] + form.middle_mm) / pitch * 2.0 * np.pi
-    return ThreadFit(
-        float(radius), float(pitch), ballot.hand, ballot.starts, float(phase % (2.0 * np.pi)), sigma[0], sigma[1]
+def _found(
+    index: int,
+    solution: Solution,
+    form: Form,
+    ballot: ThreadVote | None,
+    frame: PlaneFrame,
+    points: int,
+    residual_mm: float,
+) -> FeatureFit:
+    own, covariance = solution.own[index], solution.own_covariance[index]
+    axis = np.array([own[2], own[3], 1.0])
+    return FeatureFit(
+        index=index,
+        found=True,
+        center_mm=frame.out(np.array([own[0], own[1], 0.0])),
+        axis=axis @ frame.axes / np.linalg.norm(axis),
+        radius_mm=float(solution.shared[0]),
+        covariance_mm2=frame.axes[:2].T @ covariance[:2, :2] @ frame.axes[:2],
+        axis_sigma_deg=float(np.degrees(np.sqrt(np.trace(covariance[2:4, 2:4]) / 2.0))),
+        thread=_thread(solution, form, ballot, own),
+        points=points,
+        residual_mm=residual_mm,
     )
 
 
-def _why_not(used: int, near: int, covariance: Array, thread: Thread | None) -> str:
+def _check_alone(index: int, seen: _Seen, own: Array, expected: Thread) -> None:
+    """A stud that does not go with the others may carry another thread: let its points vote alone."""
+    mine = np.flatnonzero(seen.rays.stud == index)
+    rays = seen.rays.take(mine)
+    alone = Rays(rays.points, rays.directions, np.zeros(len(mine), dtype=np.intp))
+    try:
+        ballot = _vote(alone, own[None, :2], seen.tips[index : index + 1], expected.pitch_mm)
+    except Refused:
+        return
+    if ballot.score > CLEAR_VOTE:
+        check_vote(ballot, expected, f"stud {index}: ")
+
+
+def _thread(solution: Solution, form: Form, ballot: ThreadVote | None, own: Array) -> ThreadFit | None:
+    if ballot is None:
+        return None
+    radius, _, pitch = (float(value) for value in solution.shared)
+    sigma = np.sqrt(np.diag(solution.shared_covariance))
+    phase = float((own[4] + form.middle_mm) / pitch * 2.0 * np.pi % (2.0 * np.pi))
+    return ThreadFit(radius, pitch, ballot.hand, ballot.starts, phase, float(sigma[0]), float(sigma[2]))
+
+
+def _why_not(used: int, there: int, covariance: Array) -> str:
     """Reason why a stud counts as not found, "" where it does."""
-    if near < MIN_POINTS:
+    if there < MIN_POINTS:
         return "nothing stands there"
-    if used < MIN_POINTS or used < 0.25 * near:
-        return f"only {used} of {near} points there fit a stud"
+    if used < MIN_POINTS or used < MIN_SHARE * there:
+        return f"only {used} of {there} points there fit a stud"
     if np.sqrt(np.trace(covariance[:2, :2])) > 0.5:
         return "its axis is not determined"
     return ""

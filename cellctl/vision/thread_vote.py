@@ -83,16 +83,16 @@ def vote(
     )
 
 
-def check_vote(ballot: ThreadVote, expected: Thread) -> None:
+def check_vote(ballot: ThreadVote, expected: Thread, where: str = "") -> None:
     """Refuse (thread_wrong) another thread than the expected one, or none at all."""
     if ballot.score < 0.05:
-        raise Refused("thread_wrong", f"no thread shows on the studs (vote {ballot.score:.3f})")
+        raise Refused("thread_wrong", f"{where}no thread shows (vote {ballot.score:.3f})")
     same = ballot.hand == expected.hand and ballot.starts == expected.starts
     if not same or abs(ballot.pitch_mm - expected.pitch_mm) > 0.03 * expected.pitch_mm:
         raise Refused(
             "thread_wrong",
-            f"{ballot.hand}-hand thread of pitch {ballot.pitch_mm:.2f} mm, {ballot.starts} start(s); the recipe says "
-            f"{expected.hand}-hand, {expected.pitch_mm:g} mm, {expected.starts} start(s)",
+            f"{where}{ballot.hand}-hand thread of pitch {ballot.pitch_mm:.2f} mm, {ballot.starts} start(s); "
+            f"the recipe says {expected.hand}-hand, {expected.pitch_mm:g} mm, {expected.starts} start(s)",
         )
 
 

@@ -98,6 +98,25 @@ def test_a_wrong_thread_is_refused(sizes) -> None:
         measure_studs(flange(bolts(generator, **sizes), truth, generator), FACE, PART)
 
 
+@pytest.mark.parametrize("sizes", [{"hand": -1}, {"pitch": 1.25}, {"pitch": 0.75}])
+def test_one_stud_with_another_thread_is_refused_by_name(sizes) -> None:
+    generator = np.random.default_rng(24)
+    truth, made = places(generator), bolts(generator)
+    made[4] = Bolt(phase=0.2, **sizes)
+    with pytest.raises(Refused, match="thread_wrong: stud 4"):
+        measure_studs(flange(made, truth, generator), FACE, PART)
+
+
+@pytest.mark.parametrize("sizes", [{"radius": 3.5}, {"depth": 0.0}], ids=["thin", "no thread"])
+def test_one_stud_that_does_not_fit_is_reported(sizes) -> None:
+    generator = np.random.default_rng(25)
+    truth, made = places(generator), bolts(generator)
+    made[4] = Bolt(phase=0.2, **sizes)
+    features = measure_studs(flange(made, truth, generator), FACE, PART)
+    assert [feature.index for feature in features if not feature.found] == [4]
+    assert "fit a stud" in features[4].reason
+
+
 def test_a_left_hand_thread_that_is_asked_for_is_measured() -> None:
     generator = np.random.default_rng(23)
     truth = places(generator)
