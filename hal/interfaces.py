@@ -75,9 +75,6 @@ class Device(Protocol):
     async def rearm(self) -> None: ...
 
 
-# ---------------------------------------------------------------- axes
-
-
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
     """Travel, speed and acceleration limits in the axis' unit (mm or deg), per second."""
@@ -116,9 +113,6 @@ class Axis(Device, Protocol):
         Raises DeviceRefused (not homed, outside limits), Interrupted (halted on the way), DeviceFault.
         """
         ...
-
-
-# ---------------------------------------------------------------- guns
 
 
 class Band(StrEnum):
@@ -198,9 +192,6 @@ class Gun(Device, Protocol):
         ...
 
 
-# ---------------------------------------------------------------- force
-
-
 @dataclass(frozen=True, slots=True)
 class ForceBlock:
     """Consecutive samples of one sensor, raw (weight included), newton, compression positive.
@@ -271,9 +262,6 @@ class ForceGuard(Protocol):
         ...
 
 
-# ---------------------------------------------------------------- heat
-
-
 class Thermometer(Device, Protocol):
     """One temperature channel, degrees Celsius."""
 
@@ -303,9 +291,6 @@ class Heater(Device, Protocol):
         ...
 
     async def off(self) -> HeaterState: ...
-
-
-# ---------------------------------------------------------------- input and output
 
 
 @dataclass(frozen=True, slots=True)
@@ -391,9 +376,6 @@ class PartStation(Device, Protocol):
     async def present(self, rotor: str, shaft: str) -> tuple[str, str]:
         """Ask for the two parts; returns the serial numbers that were read on them."""
         ...
-
-
-# ---------------------------------------------------------------- camera
 
 
 @dataclass(frozen=True, slots=True)
