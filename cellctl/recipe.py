@@ -198,6 +198,7 @@ class Engage(Section):
     nut_to_mm: Mm = Field(default=94.0, gt=0)
     edge_mm: Mm = Field(default=101.5, gt=0)
     engaged_mm: Mm = Field(default=107.0, gt=0)
+    hand_started_mm: Mm = Field(default=14.4, gt=0, description="how far below its seat a nut started by hand is")
     feed_step_mm: Mm = Field(default=0.5, gt=0)
     force_low_n: Newton = Field(default=5.0, gt=0)
     force_high_n: Newton = Field(default=25.0, gt=0)

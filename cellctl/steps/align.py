@@ -84,7 +84,8 @@ def _check_odds(recipe: Recipe, alignment: Alignment) -> None:
     if odds < needed:
         raise RunHeld(
             "insertion_improbable",
-            f"all studs enter below {recipe.jack_up.force_limit_n} N with a probability of {odds:.3f} (needed {needed})",
+            f"all studs enter below {recipe.jack_up.force_limit_n} N with a probability of {odds:.3f} "
+            f"(needed {needed})",
         )
 
 

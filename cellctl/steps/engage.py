@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 
 from cellctl.ports import RunContext, RunHeld
+from cellctl.steps.feed import Name, feed_watched, forces_n
 from cellctl.steps.motion import move
+from cellctl.steps.order import Pair
 from cellctl.steps.together import together
-from hal.interfaces import ForceSensor, Gun, TurnResult
+from hal.interfaces import Gun, TurnResult
 
-Name = Literal["a", "b"]
 START_RPM = 30.0
 """Whole turns onto a thread; angles below a turn are searched at the recipe's slow speed."""
-LOOK = 5
-"""Samples of contact force that make one look."""
 
 
-async def engage_nuts(run: RunContext) -> tuple[int, int]:
-    """Fresh nuts from the magazine onto two studs: contact, reverse turn to find the start, then two turns."""
+async def engage_nuts(run: RunContext, pair: Pair) -> tuple[int, int]:
+    """Fresh nuts onto two bare studs, or sockets over two nuts that were started by hand. Returns tries as below."""
     if run.recipe.tighten.nut_supply == "hand_started":
-        return await engage_sockets(run)
+        return await engage_sockets(run, pair, lower_mm=run.recipe.tighten.engage.hand_started_mm)
     for name in ("a", "b"):
         await _load(run, name)
-    await _feed_until_contact(run)
+    await _feed_until_contact(run, pair)
     recipe = run.recipe.tighten
     torque = recipe.thread_start_torque_nm
     await together(
@@ -34,37 +32,41 @@ async def engage_nuts(run: RunContext) -> tuple[int, int]:
     turns = await together(
         _turn(run, "a", recipe.engage.start_turns_deg, torque), _turn(run, "b", recipe.engage.start_turns_deg, torque)
     )
-    for name, turn in zip("ab", turns, strict=True):
+    for name, turn in zip(("a", "b"), turns, strict=True):
         if turn.angle_deg < recipe.engage.start_turns_deg - 1.0:
             raise RunHeld(
                 "thread_not_started",
-                f"gun {name} met {turn.peak_torque_nm:.1f} Nm after {turn.angle_deg:.0f} deg (limit {torque} Nm): "
-                "the thread has not started cleanly",
+                f"{_at(name, pair)} met {turn.peak_torque_nm:.1f} Nm after {turn.angle_deg:.0f} deg "
+                f"(limit {torque} Nm): the thread has not started cleanly",
             )
     return 1, 1
 
 
-async def engage_sockets(run: RunContext) -> tuple[int, int]:
-    """Empty sockets over two nuts that are there. Returns how many tries each gun took."""
+async def engage_sockets(run: RunContext, pair: Pair, *, lower_mm: float = 0.0) -> tuple[int, int]:
+    """Empty sockets over two nuts that are there, `lower_mm` below their seats. Returns the tries of each gun.
+
+    Raises RunHeld where a nut is not where it must be: the feed never goes on against more than the window's force.
+    """
     engage = run.recipe.tighten.engage
-    await move(run, "gun_feed", engage.nut_from_mm)
-    await move(run, "gun_feed", engage.edge_mm, speed=engage.feed_speed_mm_s)
+    await move(run, "gun_feed", engage.nut_from_mm - lower_mm)
+    met = await feed_watched(run, engage.edge_mm - lower_mm, limit_n=engage.force_high_n)
     tries = {"a": 1, "b": 1}
-    for _ in range(engage.max_tries):
+    for _ in range(0 if met else engage.max_tries):
         resting = await _where(run, lambda force: force >= engage.force_low_n)
         if not resting:
             break
         for name in resting:
             await _turn(run, name, engage.turn_step_deg, engage.turn_torque_nm)
             tries[name] += 1
-    await move(run, "gun_feed", engage.engaged_mm, speed=engage.feed_speed_mm_s)
-    outside = await _where(run, lambda force: not engage.force_low_n <= force <= engage.force_high_n)
+    met = met or await feed_watched(run, engage.engaged_mm - lower_mm, limit_n=engage.force_high_n)
+    outside = met or await _where(run, lambda force: not engage.force_low_n <= force <= engage.force_high_n)
     if outside:
+        at_mm = (await run.devices.gun_feed.read()).position
         await retract(run)
         raise RunHeld(
             "socket_not_engaged",
-            f"gun {' and '.join(outside)}: contact force outside {engage.force_low_n} to {engage.force_high_n} N "
-            f"at feed {engage.engaged_mm} mm after {engage.max_tries} tries",
+            f"{' and '.join(_at(name, pair) for name in outside)}: contact force outside {engage.force_low_n} to "
+            f"{engage.force_high_n} N at feed {at_mm:.1f} mm: no nut at its place",
         )
     return tries["a"], tries["b"]
 
@@ -80,7 +82,7 @@ async def _load(run: RunContext, name: Name) -> None:
         raise RunHeld("nut_missing", f"no nut is seen in the socket of gun {name}")
 
 
-async def _feed_until_contact(run: RunContext) -> None:
+async def _feed_until_contact(run: RunContext, pair: Pair) -> None:
     engage = run.recipe.tighten.engage
     await move(run, "gun_feed", engage.nut_from_mm)
     for position in np.arange(engage.nut_from_mm, engage.nut_to_mm + engage.feed_step_mm, engage.feed_step_mm):
@@ -92,23 +94,18 @@ async def _feed_until_contact(run: RunContext) -> None:
     await retract(run)
     raise RunHeld(
         "nut_no_contact",
-        f"contact force not within {engage.force_low_n} to {engage.force_high_n} N on both guns "
-        f"up to feed {engage.nut_to_mm} mm",
+        f"contact force not within {engage.force_low_n} to {engage.force_high_n} N on both guns at joints "
+        f"{pair.a} and {pair.b} up to feed {engage.nut_to_mm} mm",
     )
 
 
-async def _where(run: RunContext, holds: Callable[[float], bool]) -> list[Name]:
-    """The guns whose contact force `holds`; a force that is not finite holds for nobody and is refused."""
-    force_a, force_b = await together(_force(run.devices.gun_force_a), _force(run.devices.gun_force_b))
-    forces: dict[Name, float] = {"a": force_a, "b": force_b}
-    for name, force in forces.items():
-        if not np.isfinite(force):
-            raise RunHeld("gun_force_implausible", f"the contact force of gun {name} reads {force}")
-    return [name for name, force in forces.items() if holds(force)]
+async def _where(run: RunContext, holds: Callable[[float], bool]) -> tuple[Name, ...]:
+    """The guns whose contact force `holds`."""
+    return tuple(name for name, force in (await forces_n(run)).items() if holds(force))
 
 
-async def _force(sensor: ForceSensor) -> float:
-    return float(np.mean((await sensor.block(LOOK)).samples_n))
+def _at(name: str, pair: Pair) -> str:
+    return f"gun {name} at joint {pair.a if name == 'a' else pair.b}"
 
 
 async def _turn(run: RunContext, name: Name, angle_deg: float, torque_nm: float) -> TurnResult:

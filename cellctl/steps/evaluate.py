@@ -70,4 +70,6 @@ def _joints(recipe: Recipe, joints: tuple[JointResult, ...]) -> tuple[str, ...]:
             times = seen[index, stage]
             if times != 1:
                 reasons.append(f"joint {index} has {times} results in stage {stage}, one is due")
+    told = Counter((joint.gun, joint.tightening_id) for joint in joints if joint.verdict != "unknown")
+    reasons += [f"tightening {number} of gun {gun} counts {n} times" for (gun, number), n in told.items() if n > 1]
     return tuple(reasons)

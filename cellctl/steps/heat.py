@@ -9,9 +9,14 @@ from dataclasses import dataclass
 from cellctl.ports import RunContext, RunHeld
 from cellctl.recipe import Heat
 from cellctl.steps.results import Aligned, HeatProof, HeatSample
+from hal.interfaces import Thermometer
 
 LOOK_S = 2.0
 """Cell seconds between two looks at the temperatures; a fraction of the fastest limit of the phase."""
+STALE_S = 5.0
+"""A channel renews its value several times in this."""
+SETPOINT_K = 0.5
+"""A heater controller keeps its set-point in tenths of a kelvin or finer."""
 STUCK_K = 1e-6
 STUCK_LOOKS = 10
 
@@ -100,12 +105,19 @@ async def look(run: RunContext) -> HeatSample:
         raise RunHeld("heater_alarm", f"the heater reports: {heater.alarm}")
     return HeatSample(
         time_s=asyncio.get_running_loop().time(),
-        spigot_1_c=(await devices.spigot_tc_1.read()).value,
-        spigot_2_c=(await devices.spigot_tc_2.read()).value,
-        pyrometer_c=(await devices.pyrometer.read()).value,
-        rotor_c=(await devices.rotor_tc.read()).value,
+        spigot_1_c=await _temperature_c(devices.spigot_tc_1),
+        spigot_2_c=await _temperature_c(devices.spigot_tc_2),
+        pyrometer_c=await _temperature_c(devices.pyrometer),
+        rotor_c=await _temperature_c(devices.rotor_tc),
         power_w=heater.power_w,
     )
+
+
+async def _temperature_c(device: Thermometer) -> float:
+    """Present temperature; not a number where the channel gives none that may be used, or an old one."""
+    reading = await device.read()
+    age_s = asyncio.get_running_loop().time() - reading.time_s
+    return reading.value if reading.quality == "good" and age_s <= STALE_S else math.nan
 
 
 def check_channels(recipe: Heat, samples: list[HeatSample]) -> None:
@@ -164,7 +176,7 @@ def spread_k(sample: HeatSample) -> float:
 
 async def _heat_to(run: RunContext, recipe: Heat, setpoint_c: float) -> None:
     arguments = {"setpoint_c": setpoint_c, "ramp_k_per_min": recipe.ramp_k_per_min, "max_power_w": recipe.max_power_w}
-    await run.ledger.act(
+    state = await run.ledger.act(
         "heater",
         "heat",
         arguments,
@@ -172,6 +184,13 @@ async def _heat_to(run: RunContext, recipe: Heat, setpoint_c: float) -> None:
             setpoint_c, ramp_k_per_min=recipe.ramp_k_per_min, max_power_w=recipe.max_power_w
         ),
     )
+    if not abs(state.setpoint_c - setpoint_c) <= SETPOINT_K:
+        raise RunHeld(
+            "setpoint_not_taken",
+            f"the heater reads back a set-point of {state.setpoint_c:.1f} C, {setpoint_c:.1f} C was written",
+        )
+    if not state.watchdog_armed:
+        raise RunHeld("watchdog_not_armed", "the heater's off-line watchdog does not read back as armed")
 
 
 async def _power_off(run: RunContext) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+import numpy as np
+
 from cellctl.ports import RunContext
 from cellctl.recipe import Stage, Tighten
 from cellctl.steps.order import Pair
@@ -79,6 +81,7 @@ async def _one(
         f"trace_{index}_{program.stage}",
         {"time_s": result.trace.time_s, "angle_deg": result.trace.angle_deg, "torque_nm": result.trace.torque_nm},
     )
+    peak_nm = float(np.max(result.trace.torque_nm, initial=0.0))
     return JointResult(
         index=index,
         gun=name,
@@ -90,18 +93,20 @@ async def _one(
         torque_high_nm=program.torque_high_nm,
         torque_band=result.torque_band,
         angle_band=result.angle_band,
-        verdict="ok" if _within(result, program) else "nok",
+        trace_peak_nm=peak_nm,
+        verdict="ok" if _within(result, peak_nm, program) else "nok",
         tightening_id=result.tightening_id,
         trace=trace,
         engage_tries=tries,
     )
 
 
-def _within(result: TighteningResult, program: TighteningProgram) -> bool:
-    """The gun's own word and the windows, recomputed: both must agree that the joint is tight."""
+def _within(result: TighteningResult, peak_nm: float, program: TighteningProgram) -> bool:
+    """The gun's own word, its trace and the windows, recomputed: all must agree that the joint is tight."""
     return (
         result.ok
         and program.torque_low_nm <= result.torque_nm <= program.torque_high_nm
+        and program.torque_low_nm <= peak_nm <= program.torque_high_nm
         and program.angle_low_deg <= result.angle_deg <= program.angle_high_deg
     )
 
@@ -118,6 +123,7 @@ def _unknown(name: Literal["a", "b"], index: int, program: TighteningProgram, tr
         torque_high_nm=program.torque_high_nm,
         torque_band=Band.LOW,
         angle_band=Band.LOW,
+        trace_peak_nm=math.nan,
         verdict="unknown",
         tightening_id=0,
         trace="",

@@ -86,7 +86,10 @@ class Seating:
 
 @dataclass(frozen=True, slots=True)
 class JointResult:
-    """One joint in one stage. `verdict` is `unknown` where no result could be had: never taken for tight."""
+    """One joint in one stage. `verdict` is `unknown` where no result could be had: never taken for tight.
+
+    `torque_nm` is what the gun says, `trace_peak_nm` the largest torque in its trace.
+    """
 
     index: int
     gun: Literal["a", "b"]
@@ -98,6 +101,7 @@ class JointResult:
     torque_high_nm: float
     torque_band: Band
     angle_band: Band
+    trace_peak_nm: float
     verdict: Literal["ok", "nok", "unknown"]
     tightening_id: int
     trace: str

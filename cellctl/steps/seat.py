@@ -7,7 +7,7 @@ import math
 from statistics import fmean
 
 from cellctl.ports import RunContext, RunHeld
-from cellctl.steps.heat import look, mean_c
+from cellctl.steps.heat import STALE_S, look, mean_c
 from cellctl.steps.jack_up import guard_limits, guarded_move
 from cellctl.steps.results import Aligned, HeatProof, Insertion, Seating
 
@@ -28,6 +28,8 @@ async def seat(run: RunContext, aligned: Aligned, insertion: Insertion, proof: H
     if seating.seated:
         return seating
     await _withdraw(run, insertion)
+    if blind := [number for number, gap in enumerate(seating.gap_mm, start=1) if math.isinf(gap)]:
+        raise RunHeld("gap_unknown", f"gap probe {' and '.join(map(str, blind))} gives no value that may be used")
     raise RunHeld(
         "seating_force", f"the faces stay {max(seating.gap_mm):.3f} mm apart at {seating.peak_n:.0f} N of seating force"
     )
@@ -74,7 +76,9 @@ async def gaps(run: RunContext) -> tuple[float, float, float]:
     values = []
     for name in ("gap_probe_1", "gap_probe_2", "gap_probe_3"):
         reading = await getattr(run.devices, name).read()
-        values.append(reading.value if reading.quality == "good" and math.isfinite(reading.value) else math.inf)
+        fresh = asyncio.get_running_loop().time() - reading.time_s <= STALE_S
+        usable = fresh and reading.quality == "good" and math.isfinite(reading.value)
+        values.append(reading.value if usable else math.inf)
     return values[0], values[1], values[2]
 
 

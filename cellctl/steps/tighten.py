@@ -50,7 +50,7 @@ async def _pair(run: RunContext, pair: Pair, program: TighteningProgram, *, nuts
     await run.checkpoint()
     await move(run, "gun_feed", 0.0)
     await move(run, "gun_table", pair.table_deg)
-    tries = await (engage_nuts(run) if nuts else engage_sockets(run))
+    tries = await (engage_nuts(run, pair) if nuts else engage_sockets(run, pair))
     results = await run_down(run, pair, program, tries)
     await retract(run)
     for result in results:
@@ -66,6 +66,7 @@ def describe(result: JointResult) -> str:
     return (
         f"joint {result.index} (gun {result.gun}, {result.stage}) {result.verdict}: {result.torque_nm:.1f} Nm "
         f"{result.torque_band}, {result.angle_deg:.0f} deg {result.angle_band}"
+        f", trace up to {result.trace_peak_nm:.1f} Nm"
     )
 
 

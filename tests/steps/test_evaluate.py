@@ -17,10 +17,11 @@ HEAT = HeatProof(65.0, 45.0, 1.0, 60.0, 42.0, 48.0, ())
 SEATING = Seating(True, 400.0, (0.0, 0.0, 0.0), 210.0, 220.0, 4.0)
 CLOSURE = Closure((0.001, 0.002, 0.0), 400.0)
 JOINTS = tuple(
-    JointResult(i, "a", stage, 10.0, 30.0, 10.0, 9.0, 11.0, Band.OK, Band.OK, "ok", 1, "", 1)
-    for stage in STAGES
+    JointResult(i, "a", stage, 10.0, 30.0, 10.0, 9.0, 11.0, Band.OK, Band.OK, 10.0, "ok", 100 * number + i, "", 1)
+    for number, stage in enumerate(STAGES)
     for i in range(RECIPE.pattern.count)
 )
+AGAIN = replace(JOINTS[0], tightening_id=999)
 
 
 def reasons(**changes: object) -> tuple[str, ...]:
@@ -43,7 +44,8 @@ def test_a_sound_joint_is_accepted() -> None:
         ({"heat": replace(HEAT, difference_k=50.0)}, "temperature difference"),
         ({"closure": replace(CLOSURE, gap_mm=(0.0, float("inf"), 0.0))}, "gap probe 2"),
         ({"tightened": Tightened(JOINTS[:-1], 0.0, 1.0)}, "joint 35 has 0 results in stage verify"),
-        ({"tightened": Tightened((*JOINTS, JOINTS[0]), 0.0, 1.0)}, "joint 0 has 2 results in stage snug"),
+        ({"tightened": Tightened((replace(JOINTS[0], tightening_id=1), *JOINTS[1:]), 0.0, 1.0)}, "tightening 1 of gun"),
+        ({"tightened": Tightened((*JOINTS, AGAIN), 0.0, 1.0)}, "joint 0 has 2 results in stage snug"),
         ({"tightened": Tightened((replace(JOINTS[0], verdict="unknown"), *JOINTS[1:]), 0.0, 1.0)}, "is unknown"),
     ],
 )
