@@ -261,7 +261,11 @@ class PermittedHeater(_Delegate[Heater]):
         return self._inner.max_power_w
 
     async def read(self) -> HeaterState:
-        return await self._inner.read()
+        """As the inner one; an alarm whose cause is the open safety circuit is raised as SafetyOpen."""
+        state = await self._inner.read()
+        if state.alarm and (refused := await self._permits.power(self.name)):
+            raise refused
+        return state
 
     async def heat(self, setpoint_c: float, *, ramp_k_per_min: float, max_power_w: float) -> HeaterState:
         return await self._powered(
