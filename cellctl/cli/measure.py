@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cellctl.calibration import Calibration, load_calibration
+from cellctl.cli.measure_alignment import alignment_document
 from cellctl.cli.measure_view import write_view
 from cellctl.recipe import Recipe, load_recipe
 from cellctl.vision.cloud import Unreadable, load_cloud
@@ -39,8 +40,12 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure and print. Returns the exit code."""
     try:
-        measured = _measure(args)
+        recipe = load_recipe(args.recipe)
+        calibration = load_calibration(args.calibration) if args.calibration else None
+        measured = _measure(args, recipe, calibration)
         document = as_document(measured)
+        if len(measured) == 2:
+            document["alignment"] = alignment_document(measured["rotor"], measured["shaft"], recipe, calibration)
         if args.view is not None:
             write_view(args.view, document)
     except Refused as refused:
@@ -52,13 +57,11 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             print(json.dumps({"error": {"code": "unreadable", "reason": str(error)}}))
         return 2
-    print(json.dumps(document, allow_nan=False) if args.json else _as_text(measured))
+    print(json.dumps(document, allow_nan=False) if args.json else _as_text(measured, document))
     return 0
 
 
-def _measure(args: argparse.Namespace) -> dict[Side, PartMeasurement]:
-    recipe = load_recipe(args.recipe)
-    calibration = load_calibration(args.calibration) if args.calibration else None
+def _measure(args: argparse.Namespace, recipe: Recipe, calibration: Calibration | None) -> dict[Side, PartMeasurement]:
     clouds: dict[Side, Path | None] = {"rotor": args.rotor, "shaft": args.shaft}
     if not any(clouds.values()):
         raise ConfigError("no cloud is given", place="--rotor or --shaft")
@@ -156,7 +159,7 @@ def _plain(value: Any) -> Any:
     return number if np.isfinite(number) else None
 
 
-def _as_text(measured: dict[Side, PartMeasurement]) -> str:
+def _as_text(measured: dict[Side, PartMeasurement], document: dict[str, Any]) -> str:
     """What a person wants to see first."""
     lines = []
     for side, part in measured.items():
@@ -170,4 +173,10 @@ def _as_text(measured: dict[Side, PartMeasurement]) -> str:
             f"{part.face.sigma_mm:.3f} mm, flatness {part.face.flatness_mm:.3f} mm",
         ]
         lines += [f"  {part.feature} {item.index} missing: {item.reason}" for item in part.features if not item.found]
+    if "alignment" in document:
+        move = document["alignment"]
+        lines.append(
+            f"alignment: x {move['x_mm']:.3f} mm, y {move['y_mm']:.3f} mm, theta {move['theta_deg']:.4f} deg, "
+            f"tilt {move['tilt_deg']:.4f} deg, P(insert) {move['p_insert']:.4f}"
+        )
     return "\n".join(lines)
