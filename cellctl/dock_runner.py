@@ -57,8 +57,13 @@ class Offset:
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What the controller believed before it jacked up: one sigma of the pose, odds, loops of the alignment."""
+    """What the controller believed before it jacked up: one sigma of the pose, odds, loops of the alignment.
 
+    `left` is what it saw still to go inside its gates, best pose minus pose; added to the true offset it leaves the
+    error of the estimate, which is what the sigmas speak of.
+    """
+
+    left: Offset
     sigma_theta_deg: float
     sigma_xy_mm: float
     p_insert: float
@@ -205,7 +210,8 @@ def _outcome(
 
 def _forecast(aligned: Aligned) -> Forecast:
     alignment = aligned.alignment
-    return Forecast(alignment.sigma_theta_deg, alignment.sigma_xy_mm, alignment.p_insert, aligned.loops)
+    left = Offset(alignment.theta_deg, alignment.x_mm, alignment.y_mm)
+    return Forecast(left, alignment.sigma_theta_deg, alignment.sigma_xy_mm, alignment.p_insert, aligned.loops)
 
 
 def _limit_n() -> float:

@@ -107,14 +107,15 @@ def _extremes(values: Iterable[float]) -> dict[str, float]:
 
 
 def _alignment(aligned: Sequence[DockOutcome]) -> dict[str, Any]:
-    """True errors of the pose where the studs entered, beside what the controller believed of them."""
-    forecasts = [outcome.forecast for outcome in aligned if outcome.forecast is not None]
-    theta = [abs(outcome.offset.theta_deg) for outcome in aligned]
-    xy = [math.hypot(outcome.offset.x_mm, outcome.offset.y_mm) for outcome in aligned]
+    """Errors of the pose at which the studs entered, errors of its estimate, and the sigmas that were believed."""
+    pairs = [(one.offset, one.forecast) for one in aligned if one.forecast is not None]
+    forecasts = [forecast for _, forecast in pairs]
     return {
-        "docks": len(aligned),
-        "theta_error_deg": _spread(theta),
-        "xy_error_mm": _spread(xy),
+        "docks": len(pairs),
+        "theta_error_deg": _spread([at.theta_deg for at, _ in pairs]),
+        "xy_error_mm": _spread([math.hypot(at.x_mm, at.y_mm) for at, _ in pairs]),
+        "theta_estimate_error_deg": _spread([at.theta_deg + f.left.theta_deg for at, f in pairs]),
+        "xy_estimate_error_mm": _spread([math.hypot(at.x_mm + f.left.x_mm, at.y_mm + f.left.y_mm) for at, f in pairs]),
         "sigma_theta_deg": _rms([forecast.sigma_theta_deg for forecast in forecasts]),
         "sigma_xy_mm": _rms([forecast.sigma_xy_mm for forecast in forecasts]),
         "p_insert": sum(forecast.p_insert for forecast in forecasts) / len(forecasts),
@@ -123,7 +124,7 @@ def _alignment(aligned: Sequence[DockOutcome]) -> dict[str, Any]:
 
 
 def _spread(values: list[float]) -> dict[str, float]:
-    return {"rms": _rms(values), "max": max(values)}
+    return {"rms": _rms(values), "max": max(abs(value) for value in values)}
 
 
 def _rms(values: list[float]) -> float:

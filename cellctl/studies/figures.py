@@ -104,12 +104,15 @@ def _errors(entry: Mapping[str, Any]) -> list[str]:
     seen = entry.get("alignment")
     if seen is None:
         return []
-    theta, xy = seen["theta_error_deg"], seen["xy_error_mm"]
-    return [
-        f"* theta error {theta['rms']:.4f} deg rms, {theta['max']:.4f} max; believed {seen['sigma_theta_deg']:.4f}",
-        f"* xy error {xy['rms']:.4f} mm rms, {xy['max']:.4f} max; believed {seen['sigma_xy_mm']:.4f} per axis",
-        f"* {seen['loops']['mean']:.2f} alignment loops on average, {seen['loops']['max']} at most",
-    ]
+    lines = []
+    for name, unit in (("theta", "deg"), ("xy", "mm")):
+        true, estimate = seen[f"{name}_error_{unit}"], seen[f"{name}_estimate_error_{unit}"]
+        lines.append(
+            f"* {name} at entry off by {true['rms']:.4f} {unit} rms, {true['max']:.4f} at most; its estimate by "
+            f"{estimate['rms']:.4f} rms, believed sigma {seen[f'sigma_{name}_{unit}']:.4f}"
+        )
+    loops = seen["loops"]
+    return [*lines, f"* {loops['mean']:.2f} alignment loops on average, {loops['max']} at most (xy: length of x and y)"]
 
 
 def _machine(entry: Mapping[str, Any]) -> str:

@@ -33,7 +33,7 @@ def outcome(
         offset=Offset(0.003, 0.003, -0.004),
         reason="why" if refused or not (inserted and first) or peak_n > 10.0 else "",
         refused=refused,
-        forecast=None if refused else Forecast(0.004, 0.02, 0.999, 1),
+        forecast=None if refused else Forecast(Offset(-0.001, 0.009, 0.009), 0.004, 0.02, 0.999, 1),
     )
 
 
@@ -110,4 +110,6 @@ def test_errors_by_sight_stand_beside_what_was_believed() -> None:
     assert result["docks"] == 1
     assert result["xy_error_mm"]["rms"] == pytest.approx(0.005)
     assert result["theta_error_deg"]["max"] == pytest.approx(0.003)
+    assert result["theta_estimate_error_deg"]["rms"] == pytest.approx(0.002)
+    assert result["xy_estimate_error_mm"]["max"] == pytest.approx(0.013)
     assert result["sigma_theta_deg"] == pytest.approx(0.004)
