@@ -126,7 +126,7 @@ def _solve(design: Array, value: Array, field: Array, weights: Array, prior: Arr
     sides = linalg.cho_solve(factor, weighted.T @ np.column_stack([design, value]), check_finite=False)
     reduced = design - field @ sides[:, :SIZE]
     normal = (design * weights[:, None]).T @ reduced + np.diag(prior)
-    covariance = np.linalg.inv(0.5 * (normal + normal.T))
+    covariance: Array = np.linalg.inv(0.5 * (normal + normal.T)).astype(np.float64)
     influence = reduced * weights[:, None]
     change = -covariance @ (influence.T @ value + pull)
     left = value - field @ sides[:, SIZE] + reduced @ change
