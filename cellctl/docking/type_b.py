@@ -29,6 +29,8 @@ def type_b(joint: Joint, calibration: Calibration, measured_at: AxesPosition, ta
     ]
     stage = calibration.stage
     effects += list(np.diag([stage.sigma_position_mm, stage.sigma_position_mm, np.radians(stage.sigma_table_deg)]))
+    straightness = calibration.jack_line.sigma_position_mm
+    effects += list(np.diag([straightness, straightness, 0.0])[:2])
     rows = np.array(effects)
     return np.asarray(rows.T @ rows)
 

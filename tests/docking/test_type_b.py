@@ -44,6 +44,11 @@ def test_jack_direction_acts_over_the_travel() -> None:
     assert sigma[2] == pytest.approx(0.0, abs=1e-8)
 
 
+def test_jack_straightness_is_sideways() -> None:
+    line = calibration().jack_line.model_copy(update={"sigma_direction_deg": 0.0, "sigma_position_mm": 0.005})
+    assert np.sqrt(np.diag(covariance(jack_line=line))) == pytest.approx([0.005, 0.005, 0.0])
+
+
 def test_view_rotation_acts_at_the_distance_of_the_part() -> None:
     views = dict(calibration().views)
     quiet = {"sigma_rotation_deg": 0.0, "sigma_translation_mm": 0.0}
