@@ -5,15 +5,21 @@ from __future__ import annotations
 import argparse
 import importlib
 import importlib.util
+import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
+
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""Sums must not depend on how many threads a machine has: the same input gives the same bits. Read by the numeric
+libraries when they are first imported, so set before any command is."""
 
 COMMANDS = ("demo", "serve", "run", "measure", "validate", "study", "verify", "report")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; gives its exit code."""
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     given = list(sys.argv[1:] if arguments is None else arguments)
     parser = argparse.ArgumentParser(prog="cellctl", description="Cell controller of the shaft assembly.")
     parser.add_argument("--version", action="version", version=version("cellctl"))

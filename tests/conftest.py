@@ -10,6 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from cellctl.__main__ import ONE_THREAD
+
+os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+
 ROOT = Path(__file__).parents[1]
 
 
