@@ -249,6 +249,8 @@ class Controller:
             await self._make_safe()
         if epoch == self._epoch:
             ending = "aborted" if self._escalated() else ending
+            if ending == "aborted" and outcome.verdict != "held":
+                outcome = Outcome("held", (f"the joint was {outcome.verdict}, then: {self._why}", *outcome.reasons))
         await self._close(RunEnd(ending, outcome))
         if epoch == self._epoch:  # otherwise overtaken by a stronger command, which goes the same way
             self._escalated()

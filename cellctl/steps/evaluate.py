@@ -51,7 +51,7 @@ def _heat(recipe: Recipe, heat: HeatProof | None) -> tuple[str, ...]:
 def _closure(recipe: Recipe, seating: Seating, closure: Closure) -> tuple[str, ...]:
     reasons = []
     limit = recipe.limits.gap_mm
-    if not seating.seated:
+    if not seating.seated and not recipe.heat.draw_in:
         reasons.append("the joint was not seated")
     for number, gap in enumerate(closure.gap_mm, start=1):
         if not gap <= limit:

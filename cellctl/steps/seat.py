@@ -17,7 +17,10 @@ LOOK_S = 0.02
 
 
 async def seat(run: RunContext, aligned: Aligned, insertion: Insertion, proof: HeatProof | None) -> Seating:
-    """Press the faces together with the holding force. Raises RunHeld after withdrawing when it does not close."""
+    """Press the faces together with the holding force. Raises RunHeld after withdrawing when it does not close.
+
+    Where the recipe lets the nuts draw the joint in, it may stay open here.
+    """
     await run.checkpoint()
     await _require_window(run, proof)
     started = asyncio.get_running_loop().time()
@@ -27,12 +30,14 @@ async def seat(run: RunContext, aligned: Aligned, insertion: Insertion, proof: H
     seating = await _close(run, aligned, insertion, started)
     if seating.seated:
         return seating
-    await _withdraw(run, insertion)
-    if blind := [number for number, gap in enumerate(seating.gap_mm, start=1) if math.isinf(gap)]:
-        raise RunHeld("gap_unknown", f"gap probe {' and '.join(map(str, blind))} gives no value that may be used")
-    raise RunHeld(
-        "seating_force", f"the faces stay {max(seating.gap_mm):.3f} mm apart at {seating.peak_n:.0f} N of seating force"
-    )
+    if run.recipe.heat.draw_in:  # the nuts close what is left, and the probes prove it then
+        await _clear_trip(run)
+        return seating
+    shown = ", ".join("no value" if math.isinf(gap) else f"{gap:.3f} mm" for gap in seating.gap_mm)
+    reason = f"at {seating.peak_n:.0f} N of seating force the gap probes read {shown}"
+    if await _withdrawn(run, insertion):
+        raise RunHeld("seating_force", reason)
+    raise RunHeld("spigot_gripped", f"{reason}; the spigot grips and the shaft does not come back: re-heat, withdraw")
 
 
 async def _require_window(run: RunContext, proof: HeatProof | None) -> None:
@@ -82,11 +87,14 @@ async def gaps(run: RunContext) -> tuple[float, float, float]:
     return values[0], values[1], values[2]
 
 
-async def _withdraw(run: RunContext, insertion: Insertion) -> None:
-    """Out of the spigot again, under a pulling limit: a gripped spigot is not torn out."""
-    await run.interlock.rearm()
-    await run.ledger.act("jack", "rearm", {}, lambda key: run.devices.jack.rearm())
+async def _withdrawn(run: RunContext, insertion: Insertion) -> bool:
+    """Out of the spigot again, under a pulling limit: a gripped spigot is not torn out. Returns whether it came."""
+    await _clear_trip(run)
     limits = guard_limits(run, "withdraw", insertion.tare_n, run.recipe.heat.seat_force_limit_n)
     state = await guarded_move(run, insertion.z_mm, run.recipe.heat.seat_speed_mm_s, limits)
-    if state.tripped:
-        raise RunHeld("spigot_gripped", "the spigot grips and the shaft does not come back: re-heat and withdraw")
+    return not state.tripped
+
+
+async def _clear_trip(run: RunContext) -> None:
+    await run.interlock.rearm()
+    await run.ledger.act("jack", "rearm", {}, lambda key: run.devices.jack.rearm())
