@@ -31,10 +31,10 @@ from hal.interfaces import (
     Scanner,
     Thermometer,
 )
+from hal.interlocks import Permits
 from hal.latch import Latch
 from hal.permits import AXES, AxisName, PermitLimits, safety_refusal
 from hal.permitted import (
-    Permits,
     PermittedAxis,
     PermittedCameraPark,
     PermittedChuck,

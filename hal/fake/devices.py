@@ -9,12 +9,13 @@ from typing import Any, Literal
 from hal.config import CellConfig
 from hal.fake.axes import FakeAxis
 from hal.fake.camera_park import FakeCameraPark
+from hal.fake.chuck import FakeChuck
 from hal.fake.faults import FaultBook
 from hal.fake.force import FakeForceSensor
 from hal.fake.gun_force import FakeGunForce
 from hal.fake.guns import FakeGun
 from hal.fake.heating import FakeHeater, FakeThermometer
-from hal.fake.io import FakeChuck, FakeGapProbe, FakeSafety
+from hal.fake.io import FakeGapProbe, FakeSafety
 from hal.fake.plant import Plant
 from hal.fake.scanner import FakeScanner, Render
 from hal.fake.supply import FakeNutFeeder, FakePartStation

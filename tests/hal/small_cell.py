@@ -8,9 +8,10 @@ from hal.cell import Cell
 from hal.config import Devices
 from hal.guard.inloop import InLoopGuard
 from hal.interfaces import Axis
+from hal.interlocks import Permits
 from hal.latch import Latch
 from hal.permits import AxisName, PermitLimits
-from hal.permitted import Permits, PermittedAxis, PermittedCameraPark, PermittedChuck
+from hal.permitted import PermittedAxis, PermittedCameraPark, PermittedChuck
 from tests.hal.small import SmallAxis, SmallChuck, SmallDevice, SmallForce, SmallPark, SmallSafety
 
 NAMES: tuple[AxisName, ...] = ("stage_x", "stage_y", "jack", "shaft_table", "gun_table", "gun_feed")

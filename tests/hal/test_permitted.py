@@ -14,9 +14,10 @@ from hal.clock import run_virtual
 from hal.errors import DeviceFault, DeviceRefused, GuardTripped, Interrupted, NotConnected, SafetyError, SafetyOpen
 from hal.guard.inloop import InLoopGuard
 from hal.interfaces import Axis, AxisState, GuardLimits
+from hal.interlocks import READ_DEADLINE_S, WATCH_S, Permits
 from hal.latch import Latch
 from hal.permits import AxisName, PermitLimits
-from hal.permitted import READ_DEADLINE_S, WATCH_S, Permits, PermittedAxis, PermittedCameraPark, PermittedChuck
+from hal.permitted import PermittedAxis, PermittedCameraPark, PermittedChuck
 from tests.hal.small import GOOD_SAFETY, SmallAxis, SmallChuck, SmallForce, SmallPark, SmallSafety
 
 NAMES: tuple[AxisName, ...] = ("stage_x", "stage_y", "jack", "shaft_table", "gun_table", "gun_feed")

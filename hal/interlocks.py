@@ -1,0 +1,144 @@
+"""Acting under rules: what is read before a motion begins and while it lasts, and how it is brought to rest.
+
+A motion that breaks a rule on its way is stopped. One that is abandoned (its caller was cancelled) leaves the axis
+standing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from typing import Any, TypeVar
+
+from hal.errors import CellError, DeviceError, DeviceRefused, SafetyOpen
+from hal.interfaces import Axis, CameraPark, Chuck, Device, ForceGuard, SafetyInputs
+from hal.latch import Latch
+from hal.permits import NEEDED, AxisName, PermitLimits, Readings, Target, camera_refusal, motion_refusal, safety_refusal
+
+T = TypeVar("T")
+WATCH_S = 0.2
+"""Between two looks at the rules while an axis moves; the hard-wired circuit is the fast one."""
+HALT_DEADLINE_S = 0.3
+GRACE_S = 0.02
+"""A halted command has so long to return."""
+READ_DEADLINE_S = 0.25
+"""A device that has not answered by then is unknown."""
+
+
+class Permits:
+    """The rules of one cell with the devices that they look at."""
+
+    def __init__(
+        self,
+        axes: Mapping[AxisName, Axis],
+        chuck: Chuck,
+        camera_park: CameraPark,
+        safety: SafetyInputs,
+        guard: ForceGuard,
+        limits: PermitLimits,
+        latch: Latch,
+    ) -> None:
+        self._axes = axes
+        self._chuck = chuck
+        self._camera_park = camera_park
+        self._safety = safety
+        self._guard = guard
+        self._limits = limits
+        self.latch = latch
+
+    async def motion(self, axis: AxisName, target: Target) -> CellError | None:
+        """The error that a motion of `axis` to `target` meets now, or None."""
+        readings = await self._read(axis, self._axes[axis])
+        return _error(axis, readings, motion_refusal(axis, target, readings, self._limits))
+
+    async def camera(self, target: str) -> CellError | None:
+        """The error that a swing of the camera arm to `target` meets now, or None."""
+        readings = await self._read("camera_park", None)
+        return _error("camera_park", readings, camera_refusal(target, readings, self._limits))
+
+    async def power(self, device: str) -> CellError | None:
+        """The error that powering `device` meets now, or None."""
+        readings = await self._read("", None)
+        return _error(device, readings, safety_refusal(readings.safety))
+
+    async def _read(self, name: str, moving: Axis | None) -> Readings:
+        needed, axes = NEEDED.get(name, ("safety",)), self._axes
+        deadline = asyncio.get_running_loop().time() + READ_DEADLINE_S
+        return Readings(
+            axis=await _or_none(moving.read(), deadline) if moving is not None else None,
+            safety=await _or_none(self._safety.read(), deadline),
+            chuck=await _or_none(self._chuck.read(), deadline) if "chuck" in needed else None,
+            camera=await _or_none(self._camera_park.read(), deadline) if "camera_park" in needed else None,
+            jack=await _or_none(axes["jack"].read(), deadline) if "jack" in needed else None,
+            gun_feed=await _or_none(axes["gun_feed"].read(), deadline) if "gun_feed" in needed else None,
+            gun_table=await _or_none(axes["gun_table"].read(), deadline) if "gun_table" in needed else None,
+            guarded=self._guard.state().armed,
+        )
+
+
+async def _or_none(read: Awaitable[T], deadline: float) -> T | None:
+    try:
+        async with asyncio.timeout_at(deadline):
+            return await read
+    except (DeviceError, TimeoutError):
+        return None
+
+
+def _error(device: str, readings: Readings, reason: str | None) -> CellError | None:
+    if reason is None:
+        return None
+    if readings.safety is None or not readings.safety.ok:
+        return SafetyOpen(reason, device=device)
+    return DeviceRefused(reason, device=device)
+
+
+async def perform(
+    device: Device,
+    latch: Latch,
+    judge: Callable[[], Awaitable[CellError | None]],
+    command: Callable[[], Coroutine[Any, Any, T]],
+) -> T:
+    """Run `command` of `device` while latch and `judge` let it; it never goes on without its caller.
+
+    Raises what `judge` says, GuardTripped, SafetyOpen, Interrupted, and whatever the command raises.
+    """
+    if refused := latch.refusal(device.name) or await judge():
+        raise refused
+    task = latch.start(device.name, command)
+    try:
+        while not task.done():
+            await asyncio.wait({task}, timeout=WATCH_S)
+            if not task.done() and (refused := await judge()) and not task.done():
+                raise refused
+    finally:
+        if not task.done():
+            await _stop(device, task)
+    if not task.cancelled() and task.exception() is not None and isinstance(refused := await judge(), SafetyOpen):
+        raise refused from task.exception()  # the hard-wired circuit took the power: that is the cause
+    return latch.result(device.name, task)
+
+
+async def _stop(device: Device, task: asyncio.Task[Any]) -> None:
+    """Bring `device` to rest and `task` to its end, whatever else happens to the caller meanwhile; bounded in time."""
+    stopping = asyncio.create_task(_halt_and_end(device, task), name=f"{device.name} stop")
+    cancelled = False
+    while not stopping.done():
+        try:
+            await asyncio.wait({stopping})
+        except asyncio.CancelledError:
+            cancelled = True
+    if cancelled:
+        raise asyncio.CancelledError
+
+
+async def _halt_and_end(device: Device, task: asyncio.Task[Any]) -> None:
+    """Halt; where the command does not end by that, withdraw it and halt once more."""
+    for _ in range(2):
+        with contextlib.suppress(DeviceError, TimeoutError):
+            async with asyncio.timeout(HALT_DEADLINE_S):
+                await device.halt()
+        await asyncio.wait({task}, timeout=GRACE_S)
+        if task.done():
+            return
+        task.cancel()
