@@ -219,7 +219,7 @@ def _limit_n() -> float:
 
 
 def _above(peak_n: float) -> str:
-    return f"a stud met {peak_n:.1f} N (limit {_limit_n():g} N)" if peak_n > _limit_n() else ""
+    return f"a stud met {peak_n:.2f} N (limit {_limit_n():g} N)" if peak_n > _limit_n() else ""
 
 
 def _why_from(forces: DockForces) -> str:

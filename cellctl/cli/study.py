@@ -25,6 +25,8 @@ ROOT = Path(__file__).parents[2]
 RECIPE = ROOT / "recipes" / "lpt_shaft_36.toml"
 CELL = ROOT / "deploy" / "cell.fake.toml"
 TOLD_EVERY_S = 10.0
+LISTED = 10
+"""Failures in the text."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -146,7 +148,11 @@ def as_text(document: dict[str, Any]) -> str:
         f"peak of a stud  {bolt_n['p95']:.1f} N (95 %), {bolt_n['max']:.1f} N at most",
         f"peak of all     {total_n['p95']:.1f} N (95 %), {total_n['max']:.1f} N at most",
     ]
-    return "\n".join([*lines, *(f"  seed {item['seed']}: {item['reason']}" for item in document["failures"])])
+    failures = document["failures"]
+    lines += [f"  seed {item['seed']}: {item['reason']}" for item in failures[:LISTED]]
+    if len(failures) > LISTED:
+        lines.append(f"  and {len(failures) - LISTED} more; --json has all")
+    return "\n".join(lines)
 
 
 def _progress(runs: int) -> Callable[[DockOutcome], None]:

@@ -40,7 +40,7 @@ def test_one_document_with_everything_that_the_result_depends_on(capsys: pytest.
 
 
 def test_people_get_text() -> None:
-    document = {
+    document: dict[str, Any] = {
         "runs": 2,
         "succeeded": 1,
         "rate": 0.5,
@@ -55,6 +55,10 @@ def test_people_get_text() -> None:
     text = study.as_text(document)
     assert "1 of 2 docks succeeded (50.0 %, 95 % interval 10.0 to 90.0 %)" in text
     assert "seed 4: a stud met 12.5 N" in text
+    assert "more" not in text
+    many = study.as_text(document | {"failures": 25 * document["failures"]})
+    assert many.count("seed 4") == 10
+    assert many.endswith("and 15 more; --json has all")
 
 
 @pytest.mark.parametrize(
