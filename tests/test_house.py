@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 from statistics import median
 
 ROOT = Path(__file__).parents[1]
 FILES = sorted(path for package in ("hal", "cellctl") for path in (ROOT / package).rglob("*.py"))
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def lines(path: Path) -> int:
@@ -24,7 +30,7 @@ def test_functions_are_short() -> None:
     long = [
         f"{path.relative_to(ROOT)}:{node.name} {node.end_lineno - node.lineno + 1}"
         for path in FILES
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(tree(path))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and node.end_lineno is not None
         and node.end_lineno - node.lineno + 1 > 60
@@ -36,7 +42,7 @@ def test_no_code_asks_whether_it_is_simulated() -> None:
     guilty = [
         str(path.relative_to(ROOT))
         for path in (ROOT / "cellctl").rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(tree(path))
         if isinstance(node, ast.If) and "simulat" in ast.unparse(node.test)
     ]
     assert not guilty, guilty
@@ -47,7 +53,7 @@ def test_wire_libraries_have_one_importer_each() -> None:
         importers = [
             str(path.relative_to(ROOT))
             for path in FILES
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            for node in ast.walk(tree(path))
             if (isinstance(node, ast.Import) and any(name.name.split(".")[0] == library for name in node.names))
             or (isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == library and not node.level)
         ]
