@@ -147,4 +147,6 @@ def _matched_radii(part: Part, pattern: PatternPose, positions: Array, radii: Ar
     usual = float(np.nanmedian(seen / expected)) if np.isfinite(seen / expected).any() else 1.0
     # a chamfered mouth is known from the drawing; a tapped one is what the face shows
     guess = expected if part.chamfer_diameter_mm is not None else np.where(np.isfinite(seen), seen, expected * usual)
+    if np.isfinite(guess).all() or not np.isfinite(seen).any():
+        return np.asarray(guess)
     return np.asarray(np.where(np.isfinite(guess), guess, np.nanmedian(seen)))
