@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import hashlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,7 +27,7 @@ from cellctl.records.summary import RunSummary
 from cellctl.safety_watch import watch_safety
 from cellctl.stamps import VirtualStamps
 from cellctl.states import Command, State
-from cellctl.twin import fake_cell
+from cellctl.twin import FakeCell, fake_cell
 from cellctl.vision.worker import VisionWorker
 from hal.cell import Cell
 from hal.clock import run_virtual
@@ -34,6 +35,7 @@ from hal.config import CellConfig, Level
 from hal.errors import DeviceError
 from hal.fake.fault_file import Fault
 from hal.fake.truth import Truth, truth_of
+from hal.interfaces import Identity
 from hal.jobs import InlineJobs, Jobs
 
 ENDED = (State.COMPLETE, State.HELD, State.STOPPED, State.ABORTED)
@@ -97,18 +99,29 @@ def run_once(request: RunRequest) -> Outcome:
     return dataclasses.replace(outcome, wall_time_s=time.perf_counter() - started)
 
 
-async def _run(request: RunRequest) -> Outcome:
+@dataclass(frozen=True, slots=True)
+class Composed:
+    """One assembly on its own twin, ready to be connected and driven."""
+
+    twin: FakeCell
+    controller: Controller
+    assembly: Assembly
+    store: RunStore
+    identities: dict[str, Identity]
+
+    async def connect(self) -> None:
+        """Connect every device. Raises CellFailure."""
+        self.identities.update(await self.twin.cell.connect())
+
+
+def compose(request: RunRequest) -> Composed:
+    """Twin, controller, record and the assembly on them. Must be called inside the running loop. Raises ConfigError."""
     twin = fake_cell(request.recipe, request.config, request.jobs, seed=request.seed, faults=request.faults)
-    stamps = VirtualStamps(request.seed)
-    events = EventLog(stamps.now)
-    controller = Controller(twin.cell, events, safe_deadline_s=request.config.cell.safe_deadline_s)
-    try:
-        identities = await twin.cell.connect()
-    except DeviceError as error:
-        await twin.cell.close()
-        return Outcome("Stopped", "held", (str(error),), request.seed, 0.0, None, truth_of(twin.plant), None)
+    stamps = VirtualStamps(identity(request))
+    controller = Controller(twin.cell, EventLog(stamps.now), safe_deadline_s=request.config.cell.safe_deadline_s)
     calibration = load_calibration(request.config.calibration_path)
     store = RunStore(request.data, durable=False)
+    identities: dict[str, Identity] = {}
     order = Order(
         run_id=stamps.new_id("run"),
         job_order_id=f"run-{request.seed}",
@@ -134,11 +147,22 @@ async def _run(request: RunRequest) -> Outcome:
     assembly = Assembly(
         order, bench, on_phase=lambda name: twin.faults.enter_phase(name, loop.time()), replace_stored=True
     )
-    state = await _to_the_end(controller, twin.cell, assembly)
+    return Composed(twin, controller, assembly, store, identities)
+
+
+async def _run(request: RunRequest) -> Outcome:
+    made = compose(request)
+    controller, cell, run_id = made.controller, made.twin.cell, made.assembly.run_id
+    try:
+        await made.connect()
+    except DeviceError as error:
+        await cell.close()
+        return Outcome("Stopped", "held", (str(error),), request.seed, 0.0, None, truth_of(made.twin.plant), None)
+    state = await _to_the_end(controller, cell, made.assembly)
     why = controller.snapshot().why
     await controller.shutdown()
-    await twin.cell.close()
-    summary = await store.get(order.run_id)
+    await cell.close()
+    summary = await made.store.get(run_id)
     return Outcome(
         state=state.value,
         verdict=summary.verdict or "held",
@@ -146,8 +170,8 @@ async def _run(request: RunRequest) -> Outcome:
         seed=request.seed,
         wall_time_s=0.0,
         summary=summary,
-        truth=truth_of(twin.plant),
-        record=store.record_path(order.run_id),
+        truth=truth_of(made.twin.plant),
+        record=made.store.record_path(run_id),
     )
 
 
@@ -163,6 +187,13 @@ async def _to_the_end(controller: Controller, cell: Cell, assembly: Assembly) ->
         watch.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await watch
+
+
+def identity(request: RunRequest) -> int:
+    """What ids follow from: seed, recipe and twin, so that another run never takes an earlier one's place."""
+    twin = request.config.twin
+    told = f"{request.seed}/{request.recipe.content_hash}/{twin.model_dump_json()}/{request.faults}/{request.forced}"
+    return int.from_bytes(hashlib.sha256(told.encode()).digest()[:8], "big")
 
 
 def with_twin(

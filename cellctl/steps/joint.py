@@ -32,18 +32,21 @@ def stage_program(recipe: Tighten, stage: Stage) -> TighteningProgram:
 
 
 def verify_program(recipe: Tighten) -> TighteningProgram:
-    """Below the final torque a tight nut must hardly turn: it reaches the torque within a small angle."""
+    """Below the final torque a tight nut must hardly turn: it reaches the torque within a small angle.
+
+    Slow, because the torque of a standing nut rises within milliseconds; the final torque itself is never passed.
+    """
     final = recipe.stages[-1]
     torque = recipe.verify_fraction * final.torque_nm
     return TighteningProgram(
         stage="verify",
         target_torque_nm=torque,
         torque_low_nm=torque * (1 - final.torque_tolerance),
-        torque_high_nm=torque * (1 + final.torque_tolerance),
+        torque_high_nm=final.torque_nm,
         angle_low_deg=0.0,
         angle_high_deg=recipe.verify_angle_high_deg,
         threshold_torque_nm=recipe.snug_threshold_nm,
-        speed_rpm=final.speed_rpm,
+        speed_rpm=min(final.speed_rpm, recipe.engage.turn_speed_rpm),
         timeout_s=recipe.timeout_s,
     )
 
