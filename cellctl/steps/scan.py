@@ -73,6 +73,7 @@ async def measure(run: RunContext, side: Side) -> PartMeasurement:
         frame = await _capture(run, side)
         try:
             measurement = await run.vision.measure(frame, part)
+            _require_features(measurement)
         except Refused as error:
             refusal = error
             await run.ledger.note(
@@ -85,6 +86,11 @@ async def measure(run: RunContext, side: Side) -> PartMeasurement:
         return measurement
     assert refusal is not None
     raise RunHeld(refusal.code, f"no good scan of the {side}: {refusal.reason}") from refusal
+
+
+def _require_features(measurement: PartMeasurement) -> None:
+    if missing := [feature.index for feature in measurement.features if not feature.found]:
+        raise Refused("features_missing", f"features {missing} are not found")
 
 
 async def _capture(run: RunContext, view: View) -> Frame:

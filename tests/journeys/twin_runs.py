@@ -23,6 +23,8 @@ FAULTS = ROOT / "recipes" / "faults"
 SMALL = 8
 """Joints of the small recipe: opposite pairs, a star order, both guns, and a quarter of the time."""
 POINTS = 120_000
+FINE_CAMERA = {"scanner_noise_mm": 0.005, "scanner_ripple_mm": 0.002}
+"""Few pixels see as much as many do through the usual camera."""
 T = TypeVar("T")
 
 
@@ -59,9 +61,11 @@ def small_recipe(count: int = SMALL) -> Recipe:
     return whole.model_copy(update={"pattern": whole.pattern.model_copy(update={"count": count})})
 
 
-def twin_cell(level: Level = "ideal", points: int = POINTS, overrides: Mapping[str, float] | None = None) -> CellConfig:
-    """The cell on fake devices with that twin."""
-    return with_twin(load_cell(CELL), level=level, points=points, overrides=overrides)
+def twin_cell(
+    overrides: Mapping[str, float] | None = None, *, level: Level = "nominal", points: int = POINTS
+) -> CellConfig:
+    """The cell on fake devices with that twin behind a fine camera."""
+    return with_twin(load_cell(CELL), level=level, points=points, overrides={**FINE_CAMERA, **(overrides or {})})
 
 
 def assembled(
@@ -76,9 +80,7 @@ def assembled(
     """One run to its end, its record thrown away."""
     with tempfile.TemporaryDirectory() as folder:
         return run_once(
-            RunRequest(
-                recipe, config, seed, Path(folder), tuple(faults), forced, "none", jobs=jobs or RememberedJobs()
-            )
+            RunRequest(recipe, config, seed, Path(folder), tuple(faults), forced, "none", jobs=jobs or RememberedJobs())
         )
 
 
