@@ -54,7 +54,7 @@ def _closure(recipe: Recipe, seating: Seating, closure: Closure) -> tuple[str, .
     if not seating.seated and not recipe.heat.draw_in:
         reasons.append("the joint was not seated")
     for number, gap in enumerate(closure.gap_mm, start=1):
-        if not gap <= limit:
+        if not abs(gap) <= limit:
             reasons.append(f"gap probe {number} reads {gap:.3f} mm (limit {limit} mm)")
     return tuple(reasons)
 

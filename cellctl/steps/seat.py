@@ -7,7 +7,7 @@ import math
 from statistics import fmean
 
 from cellctl.ports import RunContext, RunHeld
-from cellctl.steps.heat import STALE_S, look, mean_c
+from cellctl.steps.heat import STALE_S, check_channels, look, mean_c
 from cellctl.steps.jack_up import guard_limits, guarded_move
 from cellctl.steps.results import Aligned, HeatProof, Insertion, Seating
 
@@ -27,14 +27,16 @@ async def seat(run: RunContext, aligned: Aligned, insertion: Insertion, proof: H
     if proof is not None:
         await run.ledger.act("heater", "off", {}, lambda key: run.devices.heater.off())
     run.progress.report("heat", 0.95, "seating")
-    seating = await _close(run, aligned, insertion, started)
+    seating, trip = await _close(run, aligned, insertion, started)
     if seating.seated:
         return seating
-    if run.recipe.heat.draw_in:  # the nuts close what is left, and the probes prove it then
+    if (
+        run.recipe.heat.draw_in and seating.peak_n >= run.recipe.heat.hold_force_n
+    ):  # the nuts close what is left, and the probes prove it then
         await _clear_trip(run)
         return seating
     shown = ", ".join("no value" if math.isinf(gap) else f"{gap:.3f} mm" for gap in seating.gap_mm)
-    reason = f"at {seating.peak_n:.0f} N of seating force the gap probes read {shown}"
+    reason = f"at {seating.peak_n:.0f} N of seating force the gap probes read {shown}{trip and f' ({trip})'}"
     if await _withdrawn(run, insertion):
         raise RunHeld("seating_force", reason)
     raise RunHeld("spigot_gripped", f"{reason}; the spigot grips and the shaft does not come back: re-heat, withdraw")
@@ -44,6 +46,7 @@ async def _require_window(run: RunContext, proof: HeatProof | None) -> None:
     if proof is None:
         return
     sample = await look(run)
+    check_channels(run.recipe.heat, [sample])
     difference = mean_c(sample) - sample.rotor_c
     if not proof.window_low_k <= difference <= proof.window_high_k:
         raise RunHeld(
@@ -52,7 +55,8 @@ async def _require_window(run: RunContext, proof: HeatProof | None) -> None:
         )
 
 
-async def _close(run: RunContext, aligned: Aligned, insertion: Insertion, started: float) -> Seating:
+async def _close(run: RunContext, aligned: Aligned, insertion: Insertion, started: float) -> tuple[Seating, str]:
+    """What came of it, and why the guard tripped, empty where it did not."""
     recipe = run.recipe.heat
     gain = run.calibration.jack_force.gain
     limits = guard_limits(run, "seat", insertion.tare_n, recipe.seat_force_limit_n / gain)
@@ -66,14 +70,15 @@ async def _close(run: RunContext, aligned: Aligned, insertion: Insertion, starte
         block = await run.interlock.window(LOOK_S)
         force = (fmean(block.samples_n) - insertion.tare_n) * gain
     gap = await gaps(run)
-    return Seating(
-        seated=force >= recipe.hold_force_n and max(gap) <= run.recipe.limits.gap_mm,
+    seating = Seating(
+        seated=force >= recipe.hold_force_n and max(map(abs, gap)) <= run.recipe.limits.gap_mm,
         z_mm=(await run.devices.jack.read()).position,
         gap_mm=gap,
         hold_n=force,
         peak_n=peak,
         seconds_s=asyncio.get_running_loop().time() - started,
     )
+    return seating, state.reason if state.tripped else ""
 
 
 async def gaps(run: RunContext) -> tuple[float, float, float]:

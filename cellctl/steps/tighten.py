@@ -7,11 +7,11 @@ import asyncio
 from cellctl.kinematics import AxesPosition
 from cellctl.ports import RunContext, RunHeld
 from cellctl.steps.engage import engage_nuts, engage_sockets, retract
-from cellctl.steps.heat import look, mean_c
+from cellctl.steps.heat import check_channels, look, mean_c
 from cellctl.steps.joint import run_down, stage_program, verify_program
 from cellctl.steps.motion import move, require_clamped, shaft_axes
 from cellctl.steps.order import Pair, pairs
-from cellctl.steps.results import JointResult, Tightened
+from cellctl.steps.results import HeatSample, JointResult, Tightened
 from hal.interfaces import TighteningProgram
 
 LOOK_S = 20.0
@@ -48,6 +48,7 @@ async def tighten(run: RunContext) -> Tightened:
 async def _pair(run: RunContext, pair: Pair, program: TighteningProgram, *, nuts: bool) -> list[JointResult]:
     """One pair in one stage, from the checkpoint to the guns back; a hold lets the running pair finish."""
     await run.checkpoint()
+    await require_clamped(run)
     await move(run, "gun_feed", 0.0)
     await move(run, "gun_table", pair.table_deg)
     tries = await (engage_nuts(run, pair) if nuts else engage_sockets(run, pair))
@@ -75,8 +76,11 @@ async def cool(run: RunContext) -> float:
     recipe = run.recipe.tighten
     loop = asyncio.get_running_loop()
     start = loop.time()
+    samples: list[HeatSample] = []
     while True:
         sample = await look(run)
+        samples.append(sample)
+        check_channels(run.recipe.heat, samples)
         difference = mean_c(sample) - sample.rotor_c
         run.progress.report("tighten", 0.5, f"cooling, {difference:.1f} K left")
         if abs(difference) <= recipe.final_below_difference_k:

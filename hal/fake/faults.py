@@ -140,14 +140,14 @@ class FaultBook:
         """What the device reads where the truth is `value`. A sensor that knows of its failure says BAD."""
         if device not in self._by_device:
             return Reading(value, now)
-        last = self._last_good.get(device, Reading(value, now))
         if self.active(device, "nan", now):
             return Reading(math.nan, now, Quality.BAD)
         if fault := self.active(device, "out_of_range", now):
             return Reading(fault.number, now, Quality.BAD)
-        if self.active(device, "stale", now):
-            return last
+        if fault := self.active(device, "stale", now):
+            return self._last_good.setdefault(device, Reading(value, self.start_s(fault)))
         if fault := self.active(device, "stuck", now):
+            last = self._last_good.setdefault(device, Reading(value, self.start_s(fault)))
             return Reading(last.value if fault.value is None else fault.value, now)
         self._last_good[device] = Reading(value, now)
         if fault := self.active(device, "drift", now):
