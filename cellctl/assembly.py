@@ -157,9 +157,7 @@ def header_of(order: Order, bench: Bench) -> RunHeader:
 def refuse_unfit(order: Order, bench: Bench) -> None:
     """Raises RunHeld with every finding that was not forced, or where the calibration is out of date."""
     findings = [
-        finding
-        for finding in check(order.recipe, bench.config, bench.calibration)
-        if finding.name not in order.forced
+        finding for finding in check(order.recipe, bench.config, bench.calibration) if finding.name not in order.forced
     ]
     if findings:
         raise RunHeld("recipe_refused", "; ".join(f"{f.name}: {f.reason}" for f in findings))

@@ -28,7 +28,7 @@ from cellctl.vision.worker import VisionWorker
 from hal.clock import run_virtual
 from hal.config import CellConfig
 from hal.errors import CellError
-from hal.fake.docking import DockForces, at_best_pose, dock_forces, moved
+from hal.fake.contact.docking import DockForces, at_best_pose, dock_forces, moved
 from hal.fake.levels import numbers
 from hal.fake.plant import Plant, TwinSettings
 from hal.fake.truth import Truth, TruthLimits, truth_of

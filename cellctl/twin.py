@@ -15,13 +15,13 @@ from cellctl.recipe import PartSpec, Recipe
 from hal.cell import Cell, build_cell
 from hal.config import CellConfig
 from hal.errors import ConfigError
+from hal.fake.devices.guns import install_joints
+from hal.fake.devices.heating import install_heat
 from hal.fake.fault_file import Fault
 from hal.fake.faults import FaultBook
 from hal.fake.geometry import JointGeometry
-from hal.fake.guns import install_joints
-from hal.fake.heating import install_heat
 from hal.fake.plant import Plant, TwinSettings
-from hal.fake.scene import SceneState, render
+from hal.fake.scene.render import SceneState, render
 from hal.jobs import Jobs
 
 
@@ -34,9 +34,7 @@ class FakeCell:
     faults: FaultBook
 
 
-def fake_cell(
-    recipe: Recipe, config: CellConfig, jobs: Jobs, *, seed: int, faults: Iterable[Fault] = ()
-) -> FakeCell:
+def fake_cell(recipe: Recipe, config: CellConfig, jobs: Jobs, *, seed: int, faults: Iterable[Fault] = ()) -> FakeCell:
     """Plant, faults and cell. Clouds are rendered by `jobs`. Raises ConfigError."""
     plant = Plant(geometry_of(recipe), TwinSettings(seed, config.twin.level, config.twin.overrides))
     install_heat(plant)

@@ -38,7 +38,7 @@ JOB_DEADLINE_S = 60.0
 DRY_RUN_DEADLINE_S = 300.0
 """Seconds of the wall."""
 DRY_RUN_POINTS = 150_000
-RENDERING = ("hal.fake.scene",)
+RENDERING = ("hal.fake.scene.render",)
 
 
 async def open_workplace(

@@ -45,9 +45,9 @@ from hal.permitted import (
 from hal.safe_stop import SafeReport, make_all_safe
 
 if TYPE_CHECKING:
+    from hal.fake.devices.scanner import Render
     from hal.fake.faults import FaultBook
     from hal.fake.plant import Plant
-    from hal.fake.scanner import Render
 
 __all__ = ["Cell", "CellFailure", "SafeReport", "build_cell"]
 
@@ -167,7 +167,7 @@ def build_cell(config: CellConfig, *, plant: Plant, faults: FaultBook, render: R
 
     Nothing here starts a task or talks to a device.
     """
-    from hal.fake.devices import fake_devices
+    from hal.fake.devices.build import fake_devices
 
     bare = fake_devices(config, plant, faults, render)
     axes: dict[AxisName, Axis] = {name: bare[name] for name in AXES}

@@ -32,10 +32,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.fake.engagement import Engagement, closing_resistance_n
+from hal.fake.contact.engagement import Engagement, closing_resistance_n
+from hal.fake.contact.insertion import Dock
 from hal.fake.frames import child_rng
 from hal.fake.geometry import BenchGeometry, JointGeometry
-from hal.fake.insertion import Dock
 from hal.fake.levels import Level, TwinNumbers, numbers
 from hal.fake.motion import AxisMotion, Trajectory
 from hal.fake.parts import RotorTruth, ShaftTruth, draw_cell, draw_rotor, draw_shaft

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from hal.fake.curve import force_curve
-from hal.fake.engagement import present_error
+from hal.fake.contact.curve import force_curve
+from hal.fake.contact.engagement import present_error
 from hal.fake.plant import Plant
 
 RIM_PLACES = 24

@@ -11,9 +11,9 @@ import pytest
 
 from cellctl.cli import measure as command
 from hal.fake.geometry import JointGeometry
-from hal.fake.picture import picture_of
 from hal.fake.plant import Plant, TwinSettings
-from hal.fake.scene import render
+from hal.fake.scene.picture import picture_of
+from hal.fake.scene.render import render
 
 ROOT = Path(__file__).parents[2]
 WORDS = ["measure", "--recipe", str(ROOT / "recipes" / "lpt_shaft_36.toml"), "--json"]

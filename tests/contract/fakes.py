@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.config import Devices, load_cell
-from hal.fake.devices import fake_devices
+from hal.fake.devices.build import fake_devices
+from hal.fake.devices.guns import install_joints
+from hal.fake.devices.heating import install_heat
 from hal.fake.faults import FaultBook
-from hal.fake.guns import install_joints
-from hal.fake.heating import install_heat
 from hal.fake.plant import Plant
-from hal.fake.scene import SceneState
+from hal.fake.scene.render import SceneState
 
 DEVICES = tuple(Devices.model_fields)
 CELL = load_cell(Path(__file__).parents[2] / "deploy" / "cell.fake.toml")

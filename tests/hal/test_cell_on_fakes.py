@@ -15,12 +15,12 @@ from hal.cell import Cell, build_cell
 from hal.clock import run_virtual
 from hal.config import Devices, load_cell
 from hal.errors import CellError, DeviceRefused, SafetyOpen
+from hal.fake.devices.guns import install_joints
+from hal.fake.devices.heating import install_heat
 from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
-from hal.fake.guns import install_joints
-from hal.fake.heating import install_heat
 from hal.fake.plant import Plant, TwinSettings
-from hal.fake.scene import SceneState
+from hal.fake.scene.render import SceneState
 from hal.interfaces import GuardLimits
 from hal.permits import AXES
 

@@ -5,10 +5,10 @@ import pytest
 
 from cellctl.vision.part import FaceFit, FeatureFit, Part, Thread
 from cellctl.vision.studs import measure_studs
-from hal.fake.camera import ScanErrors, camera_for
-from hal.fake.scene import SceneState, render
-from hal.fake.scene_shapes import PartShape, Studs
-from hal.fake.thread_form import StudForm
+from hal.fake.scene.camera import ScanErrors, camera_for
+from hal.fake.scene.render import SceneState, render
+from hal.fake.scene.shapes import PartShape, Studs
+from hal.fake.scene.thread_form import StudForm
 
 COUNT = 36
 PART = Part(

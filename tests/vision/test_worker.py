@@ -15,9 +15,9 @@ from cellctl.vision.part import Part, PartMeasurement, Refused
 from cellctl.vision.worker import VisionWorker
 from hal.clock import run_virtual
 from hal.fake.geometry import JointGeometry
-from hal.fake.picture import picture_of
 from hal.fake.plant import Plant, TwinSettings
-from hal.fake.scene import render
+from hal.fake.scene.picture import picture_of
+from hal.fake.scene.render import render
 from hal.interfaces import Frame, View
 from hal.jobs import InlineJobs, Jobs, ProcessJobs
 

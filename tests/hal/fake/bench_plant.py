@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hal.fake.engagement import present_error
+from hal.fake.contact.engagement import present_error
 from hal.fake.geometry import JointGeometry
 from hal.fake.levels import Level
 from hal.fake.plant import Plant, TwinSettings

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from hal.fake.devices.gun_force import FakeGunForce
+from hal.fake.devices.guns import FakeGun, install_joints
+from hal.fake.devices.heating import install_heat
 from hal.fake.faults import FaultBook
 from hal.fake.geometry import JointGeometry
-from hal.fake.gun_force import FakeGunForce
-from hal.fake.guns import FakeGun, install_joints
-from hal.fake.heating import install_heat
-from hal.fake.joint_state import Joints
+from hal.fake.joints.state import Joints
 from hal.fake.motion import standing
 from hal.fake.plant import Plant, TwinSettings
 from hal.interfaces import TighteningProgram

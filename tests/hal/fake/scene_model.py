@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.fake.artefacts import BenchFurniture
-from hal.fake.camera import IDEAL, ScanErrors, camera_for
-from hal.fake.scene import SceneState
-from hal.fake.scene_shapes import Clutter, Holes, PartShape, Studs
-from hal.fake.thread_form import StudForm
+from hal.fake.scene.artefacts import BenchFurniture
+from hal.fake.scene.camera import IDEAL, ScanErrors, camera_for
+from hal.fake.scene.render import SceneState
+from hal.fake.scene.shapes import Clutter, Holes, PartShape, Studs
+from hal.fake.scene.thread_form import StudForm
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from cellctl.calibration import load_calibration
-from hal.fake.artefacts import BenchFurniture
-from hal.fake.scene import render
-from hal.fake.scene_shapes import Clutter
+from hal.fake.scene.artefacts import BenchFurniture
+from hal.fake.scene.render import render
+from hal.fake.scene.shapes import Clutter
 from tests.hal.fake.scene_model import scene
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from hal.clock import run_virtual
 from hal.errors import DeviceFault, DeviceTimeout, Interrupted, NotConnected
-from hal.fake.axes import FakeAxis
+from hal.fake.devices.axes import FakeAxis
 from hal.fake.faults import Fault, FaultBook
 from hal.fake.plant import Plant
 from hal.interfaces import AxisLimits

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hal.fake.camera import Camera, camera_for
+from hal.fake.scene.camera import Camera, camera_for
 
 
 def test_windows_hold_every_pixel_of_their_boxes() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hal.fake.contact import Contacts, EntryProfile, allowance, axial_ratio, solve
+from hal.fake.contact.contact import Contacts, EntryProfile, allowance, axial_ratio, solve
 
 STIFFNESS = np.array([1000.0, 1000.0, 1000.0])
 RADIUS_MM = 120.0

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hal.fake.curve import ForceCurve, force_curve, gap_grid
-from hal.fake.docking import at_best_pose, moved
-from hal.fake.insertion import Dock, bending_n_per_mm, meeting
+from hal.fake.contact.curve import ForceCurve, force_curve, gap_grid
+from hal.fake.contact.docking import at_best_pose, moved
+from hal.fake.contact.insertion import Dock, bending_n_per_mm, meeting
 from tests.hal.fake.bench_plant import equal_joint, plant_of
 
 

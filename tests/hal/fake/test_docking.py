@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hal.fake.docking import at_best_pose, dock_forces, moved, pose_error
+from hal.fake.contact.docking import at_best_pose, dock_forces, moved, pose_error
+from hal.fake.contact.insertion import Dock, meeting
 from hal.fake.geometry import JointGeometry
-from hal.fake.insertion import Dock, meeting
 from hal.fake.plant import Plant, TwinSettings
 from tests.hal.fake.bench_plant import plant_of
 

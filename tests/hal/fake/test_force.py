@@ -12,9 +12,9 @@ import pytest
 
 from hal.clock import run_virtual
 from hal.errors import Interrupted
-from hal.fake.axes import FakeAxis
+from hal.fake.devices.axes import FakeAxis
+from hal.fake.devices.force import FakeForceSensor
 from hal.fake.faults import Fault, FaultBook
-from hal.fake.force import FakeForceSensor
 from hal.fake.plant import Plant
 from hal.interfaces import AxisLimits
 from tests.hal.fake.bench_plant import align, go, plant_of

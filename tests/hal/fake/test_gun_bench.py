@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hal.fake.gun_bench import GunBench, facing, fits, force_n, misfit_deg
+from hal.fake.joints.gun_bench import GunBench, facing, fits, force_n, misfit_deg
 from tests.hal.fake.closed_joint import GEOMETRY
 
 BENCH = GunBench()

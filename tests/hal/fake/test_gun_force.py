@@ -8,8 +8,8 @@ import pytest
 
 from hal.clock import run_virtual
 from hal.errors import ConfigError, DeviceTimeout
+from hal.fake.devices.gun_force import FakeGunForce
 from hal.fake.faults import Fault, FaultBook
-from hal.fake.gun_force import FakeGunForce
 from hal.interfaces import ForceSensor
 from tests.hal.fake.closed_joint import TIP_MM, closed_joint
 

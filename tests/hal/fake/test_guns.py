@@ -7,11 +7,11 @@ import pytest
 
 from hal.clock import run_virtual
 from hal.errors import ConfigError, DeviceRefused, DeviceTimeout, Interrupted, NotConnected, SafetyOpen, UnknownOutcome
+from hal.fake.devices.guns import FakeGun
 from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
-from hal.fake.guns import FakeGun
+from hal.fake.joints.tightening import evaluate
 from hal.fake.plant import Plant, TwinSettings
-from hal.fake.tightening import evaluate
 from hal.interfaces import Band, Gun
 from tests.hal.fake.closed_joint import EDGE_MM, HALF, SNUG, Bench, closed_joint, program
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hal.fake.heater_control import HeaterControl, RegulatorSettings, regulate
+from hal.fake.heat.control import HeaterControl, RegulatorSettings, regulate
 
 SETTINGS = RegulatorSettings()
 

@@ -9,8 +9,8 @@ import pytest
 
 from hal.clock import run_virtual
 from hal.errors import ConfigError, DeviceRefused, NotConnected, SafetyOpen
+from hal.fake.devices.heating import FakeHeater, FakeThermometer, install_heat
 from hal.fake.faults import Fault, FaultBook
-from hal.fake.heating import FakeHeater, FakeThermometer, install_heat
 from hal.fake.plant import Plant, TwinSettings
 from hal.interfaces import Heater, Quality, Thermometer
 from tests.hal.fake.closed_joint import GEOMETRY

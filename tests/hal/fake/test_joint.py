@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hal.fake.geometry import JointGeometry
-from hal.fake.joint import (
+from hal.fake.joints.joint import (
     NutState,
     cooled,
     drawn_in_n,

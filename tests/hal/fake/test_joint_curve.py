@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hal.fake.geometry import JointGeometry
-from hal.fake.joint import NutState, elastic_n_per_deg, properties_of, torque_per_n_mm
-from hal.fake.joint_curve import Condition, Curve, free_spin, loosening, tightening
+from hal.fake.joints.curve import Condition, Curve, free_spin, loosening, tightening
+from hal.fake.joints.joint import NutState, elastic_n_per_deg, properties_of, torque_per_n_mm
 
 M8 = properties_of(JointGeometry(angles_deg=tuple(10.0 * i for i in range(36))))
 STARTED = NutState(present=True, climb_mm=2.0)

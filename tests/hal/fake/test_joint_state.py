@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from hal.clock import run_virtual
-from hal.fake.guns import install_joints
-from hal.fake.joint import NutState
-from hal.fake.nuts import Error
-from hal.fake.thermal import Zones
-from hal.fake.thermal_state import Thermal
+from hal.fake.devices.guns import install_joints
+from hal.fake.heat.state import Thermal
+from hal.fake.heat.thermal import Zones
+from hal.fake.joints.joint import NutState
+from hal.fake.joints.nuts import Error
 from hal.interfaces import TighteningProgram, TighteningResult
 from tests.hal.fake.closed_joint import ALIGNED, FINAL, HALF, OPEN_FIT, SNUG, VERIFY, Bench, closed_joint
 

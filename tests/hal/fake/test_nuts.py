@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hal.fake.joint import NutState
-from hal.fake.nuts import Nuts
+from hal.fake.joints.joint import NutState
+from hal.fake.joints.nuts import Nuts
 from hal.fake.plant import Plant, TwinSettings
 from tests.hal.fake.closed_joint import ALIGNED, GEOMETRY
 

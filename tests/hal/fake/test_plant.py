@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hal.errors import ConfigError
-from hal.fake.engagement import present_error, ring_of
+from hal.fake.contact.engagement import present_error, ring_of
 from hal.fake.plant import Plant, TwinSettings
 from tests.hal.fake.bench_plant import align, equal_joint, go, plant_of
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hal.fake.press import Faces, press_pressure_n_per_mm2, press_slope_n_per_mm
+from hal.fake.contact.press import Faces, press_pressure_n_per_mm2, press_slope_n_per_mm
 from tests.hal.fake.bench_plant import equal_joint
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hal.fake.camera import IDEAL, ScanErrors, camera_for
-from hal.fake.scan_errors import correlated_noise, measured, seen
-from hal.fake.scene import SceneState, render, trace
-from hal.fake.scene_shapes import PartShape
+from hal.fake.scene.camera import IDEAL, ScanErrors, camera_for
+from hal.fake.scene.errors import correlated_noise, measured, seen
+from hal.fake.scene.render import SceneState, render, trace
+from hal.fake.scene.shapes import PartShape
 from tests.hal.fake.scene_model import scene
 
 Array = NDArray[np.float64]

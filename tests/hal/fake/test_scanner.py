@@ -10,12 +10,12 @@ import pytest
 
 from hal.clock import run_virtual
 from hal.errors import DeviceFault, DeviceRefused, DeviceTimeout, Interrupted, NotConnected
+from hal.fake.devices.scanner import Cloud, FakeScanner
 from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
-from hal.fake.picture import picture_of, rotor_shape, scan_errors, shaft_shape
 from hal.fake.plant import Plant, TwinSettings
-from hal.fake.scanner import Cloud, FakeScanner
-from hal.fake.scene import SceneState, render
+from hal.fake.scene.picture import picture_of, rotor_shape, scan_errors, shaft_shape
+from hal.fake.scene.render import SceneState, render
 from hal.interfaces import Frame, View
 from hal.jobs import InlineJobs, ProcessJobs
 

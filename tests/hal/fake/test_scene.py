@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hal.fake.camera import IDEAL, camera_for
-from hal.fake.scene import SceneState, render, trace
-from hal.fake.scene_shapes import Clutter
-from hal.fake.thread_form import StudForm
+from hal.fake.scene.camera import IDEAL, camera_for
+from hal.fake.scene.render import SceneState, render, trace
+from hal.fake.scene.shapes import Clutter
+from hal.fake.scene.thread_form import StudForm
 from tests.hal.fake.scene_model import all_deviations, inside, into, rotor_shape, scene
 
 LIMIT_MM = 0.0002

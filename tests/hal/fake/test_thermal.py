@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from hal.fake.thermal import (
+from hal.fake.heat.thermal import (
     ThermalProperties,
     Zones,
     at_rest,

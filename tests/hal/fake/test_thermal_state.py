@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hal.fake.geometry import JointGeometry
-from hal.fake.heater_control import HeaterControl
+from hal.fake.heat.control import HeaterControl
+from hal.fake.heat.state import Thermal, ThermalImperfections, drawn_imperfections, drawn_properties
+from hal.fake.heat.thermal import ThermalProperties, Zones
 from hal.fake.levels import numbers
 from hal.fake.parts import ShaftTruth, draw_shaft
-from hal.fake.thermal import ThermalProperties, Zones
-from hal.fake.thermal_state import Thermal, ThermalImperfections, drawn_imperfections, drawn_properties
 
 GEOMETRY = JointGeometry(angles_deg=tuple(10.0 * i for i in range(36)))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hal.fake.thread_form import StudForm, blocked, first_hit, height, normals, surface_radius
+from hal.fake.scene.thread_form import StudForm, blocked, first_hit, height, normals, surface_radius
 
 FORMS = [StudForm(), StudForm(5.013, 1.27, starts=3, hand=-1, length_mm=21.7, lead_in_tan=0.7)]
 

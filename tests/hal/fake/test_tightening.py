@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hal.fake.geometry import JointGeometry
-from hal.fake.joint import NutState, properties_of
-from hal.fake.joint_curve import Condition, free_spin, loosening, tightening
-from hal.fake.tightening import GunProperties, band, drive, evaluate, first_crossing, slipping, turned
+from hal.fake.joints.curve import Condition, free_spin, loosening, tightening
+from hal.fake.joints.joint import NutState, properties_of
+from hal.fake.joints.tightening import GunProperties, band, drive, evaluate, first_crossing, slipping, turned
 from hal.interfaces import Band, TighteningProgram, Trace
 from tests.hal.fake.closed_joint import FINAL, HALF, SNUG, VERIFY
 

@@ -1,0 +1,1 @@
+"""Studs in holes, spigot and faces: forces over the jack's height."""

@@ -1,0 +1,1 @@
+"""Temperatures of the two members of the spigot, and what heats them."""

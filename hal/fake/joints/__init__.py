@@ -1,0 +1,1 @@
+"""Bolted joints and the guns that turn their nuts: torque, preload, traces."""

@@ -1,0 +1,1 @@
+"""The camera's picture: exact surfaces, lines of sight, instrument errors."""
