@@ -92,22 +92,27 @@ def _require_free(state: GuardState) -> None:
 
 
 async def _insert(run: RunContext, aligned: Aligned, tare: Tare) -> GuardState:
-    """Segments at contact speed under the insertion limit; the returned state has the peak of all of them."""
+    """Segments at contact speed under the insertion limit; the returned state has the peak of all of them.
+
+    The record's force curve has the peak of each segment.
+    """
     recipe = run.recipe
     end = aligned.alignment.target.z_mm - recipe.jack_up.spigot_gap_mm
     start = (await run.devices.jack.read()).position
     gain = run.calibration.jack_force.gain
     limits = guard_limits(run, "insert", tare.tare_n, run.guard_plan.insert_trip_n / gain)
     state = run.interlock.state()
-    peak = 0.0
+    curve: list[tuple[float, float]] = []
     for mark in [*np.arange(start + SEGMENT_MM, end, SEGMENT_MM), end]:
         await run.checkpoint(lambda: back_off(run, aligned), lambda: _still_valid(aligned))
         run.progress.report("jack_up", 0.2 + 0.8 * (mark - start) / (end - start), f"inserting, jack at {mark:.1f} mm")
         state = await guarded_move(run, float(mark), recipe.jack_up.contact_speed_mm_s, limits)
-        peak = max(peak, state.peak_n * gain)
+        curve.append((float(mark), state.peak_n * gain))
         if state.tripped:
             break
-    return replace(state, peak_n=peak)
+    z_mm, force_n = np.array(curve).T
+    await run.ledger.blob("force_curve", {"z_mm": z_mm, "force_n": force_n})
+    return replace(state, peak_n=float(force_n.max()))
 
 
 async def guarded_move(run: RunContext, position_mm: float, speed_mm_s: float, limits: GuardLimits) -> GuardState:
