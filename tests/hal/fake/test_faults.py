@@ -189,6 +189,14 @@ def test_streams_go_wrong_from_the_very_sample_on() -> None:
     assert values.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 
+@pytest.mark.parametrize("kind", ["stuck", "stale"])
+def test_a_sensor_that_fails_before_its_first_reading_keeps_that_reading(kind: str) -> None:
+    book = FaultBook([Fault("rotor_tc", kind, at_s=5.0)])
+    first, later = book.reading("rotor_tc", 20.0, 6.0), book.reading("rotor_tc", 25.0, 30.0)
+    assert first.value == later.value == 20.0
+    assert later.time_s == (5.0 if kind == "stale" else 30.0)
+
+
 def test_a_stuck_stream_stays_stuck_over_blocks() -> None:
     book = FaultBook([Fault("jack_force", "stuck", at_s=0.002)])
     book.samples("jack_force", np.array([1.0, 2.0, 3.0]), np.array([0.0, 0.001, 0.002]))
