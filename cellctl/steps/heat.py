@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from dataclasses import dataclass
+from functools import partial
 
 from cellctl.ports import RunContext, RunHeld
 from cellctl.recipe import Heat
@@ -17,6 +18,9 @@ STALE_S = 5.0
 """A channel renews its value several times in this."""
 SETPOINT_K = 0.5
 """A heater controller keeps its set-point in tenths of a kelvin or finer."""
+SETTLED_S = 60.0
+SETTLED_K = 0.5
+"""The difference stands still when it moved less than this in that time."""
 STUCK_K = 1e-6
 STUCK_LOOKS = 10
 
@@ -27,6 +31,11 @@ class Window:
 
     low_k: float
     high_k: float
+
+    def target_k(self, wished_k: float) -> float:
+        """The wished difference, but no nearer to an end than a quarter of the window."""
+        margin = 0.25 * (self.high_k - self.low_k)
+        return min(max(wished_k, self.low_k + margin), self.high_k - margin)
 
 
 async def heat(run: RunContext, aligned: Aligned) -> HeatProof:
@@ -55,21 +64,24 @@ async def _warm_and_soak(run: RunContext, recipe: Heat, window: Window) -> HeatP
     loop = asyncio.get_running_loop()
     samples: list[HeatSample] = [await look(run)]
     check_channels(recipe, samples)
-    setpoint = samples[0].rotor_c + recipe.difference_k
+    target = window.target_k(recipe.difference_k)
+    setpoint = samples[0].rotor_c + target
     await _heat_to(run, recipe, setpoint)
-    start = loop.time()
+    start = set_at = loop.time()
     soaking_since = math.inf
     while True:
-        await run.checkpoint(lambda: _power_off(run), lambda: _heat_to(run, recipe, setpoint))
+        await run.checkpoint(partial(_power_off, run), partial(_heat_to, run, recipe, setpoint))
         await asyncio.sleep(LOOK_S)
         sample = await look(run)
         samples.append(sample)
         check_channels(recipe, samples)
         check_loop(recipe, samples)
         difference = mean_c(sample) - sample.rotor_c
-        run.progress.report(
-            "heat", min(0.9, max(0.0, difference / recipe.difference_k)), f"difference {difference:.1f} K"
-        )
+        run.progress.report("heat", min(0.9, max(0.0, difference / target)), f"difference {difference:.1f} K")
+        missing = missing_k([seen for seen in samples if seen.time_s >= set_at], target)
+        if abs(missing) > 0.25 * (window.high_k - window.low_k):
+            setpoint, set_at = setpoint + missing, loop.time()
+            await _heat_to(run, recipe, setpoint)
         if not window.low_k <= difference <= window.high_k:
             soaking_since = math.inf
         elif math.isinf(soaking_since):
@@ -79,8 +91,21 @@ async def _warm_and_soak(run: RunContext, recipe: Heat, window: Window) -> HeatP
         if loop.time() - start > recipe.timeout_s:
             raise RunHeld(
                 "heating_timeout",
-                f"after {recipe.timeout_s:.0f} s the difference is {difference:.1f} K, spread {spread_k(sample):.1f} K",
+                f"after {recipe.timeout_s:.0f} s the difference is {difference:.1f} K "
+                f"(wanted {window.low_k:.1f} to {window.high_k:.1f} K), spread {spread_k(sample):.1f} K",
             )
+
+
+def missing_k(since_set: list[HeatSample], target_k: float) -> float:
+    """What the set-point must rise by, once the difference stands still; 0 before.
+
+    The regulator's own sensor sits elsewhere and is off by a kelvin or two; the channels on the spigot decide.
+    """
+    last = since_set[-1] if since_set else None
+    if last is None or last.time_s - since_set[0].time_s < SETTLED_S:
+        return 0.0
+    recent = [mean_c(seen) - seen.rotor_c for seen in since_set if seen.time_s >= last.time_s - SETTLED_S]
+    return 0.0 if max(recent) - min(recent) > SETTLED_K else target_k - sum(recent) / len(recent)
 
 
 def proof(samples: list[HeatSample], window: Window, soak_s: float) -> HeatProof:

@@ -6,7 +6,7 @@ import pytest
 
 from cellctl.ports import RunHeld
 from cellctl.recipe import Heat
-from cellctl.steps.heat import STUCK_LOOKS, check_channels, check_loop
+from cellctl.steps.heat import STUCK_LOOKS, Window, check_channels, check_loop, missing_k
 from cellctl.steps.results import HeatSample
 
 RECIPE = Heat()
@@ -55,3 +55,24 @@ def test_a_channel_that_never_moves_is_stuck() -> None:
 def test_power_without_rise_is_a_loop_break() -> None:
     looks = [sample(2.0 * i, 20.0) for i in range(60)]
     assert code_of(looks) == "heater_loop_break"
+
+
+def at_difference(difference_k: float, seconds: range) -> list[HeatSample]:
+    return [HeatSample(float(t), 20.0 + difference_k, 20.0 + difference_k, 20.0, 20.0, 500.0) for t in seconds]
+
+
+def test_a_difference_that_stands_still_beside_its_target_moves_the_set_point() -> None:
+    assert missing_k(at_difference(40.0, range(0, 100, 2)), 45.0) == pytest.approx(5.0)
+
+
+def test_nothing_is_moved_while_it_still_rises_or_was_just_set() -> None:
+    rising = [sample(float(t), 20.0 + 0.1 * t) for t in range(0, 100, 2)]
+    assert missing_k(rising, 45.0) == 0.0
+    assert missing_k(at_difference(40.0, range(0, 30, 2)), 45.0) == 0.0
+    assert missing_k([], 45.0) == 0.0
+
+
+def test_the_target_keeps_away_from_the_ends_of_the_window() -> None:
+    assert Window(39.0, 51.0).target_k(45.0) == 45.0
+    assert Window(39.0, 41.0).target_k(45.0) == 40.5
+    assert Window(46.0, 50.0).target_k(45.0) == 47.0
