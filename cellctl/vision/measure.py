@@ -44,8 +44,8 @@ def measure_part(
     """Measure `part` in a cloud (H, W, 3) with NaN where invalid, or (N, 3), millimetres.
 
     With `T_frame_scanner` (4, 4) the result is in the cell frame, else in the cloud's own. `quality` holds coverage
-    (share of the face seen), distance_mm, points, spacing_mm, found, min_points_per_feature, pattern_rms_mm and
-    sigma_mm. Raises Refused with a code of `cellctl.vision.part`.
+    (share of the face seen), distance_mm (NaN where the scanner's place is not known), points, spacing_mm, found,
+    min_points_per_feature, pattern_rms_mm and sigma_mm. Raises Refused with a code of `cellctl.vision.part`.
     """
     cloud = as_cloud(points)
     grid: Points = cloud.points
@@ -62,7 +62,9 @@ def measure_part(
     frame = PlaneFrame.on(_onto(face, found.frame.origin), face.normal, found.frame.axes[0])
     features = _features(grid, flat, face, frame, found, part, pinhole)
     fitted = _fit_pattern(features, frame, part)
-    quality = _quality(face, frame, local, found, features, fitted, part, eye)
+    # Without rays or a pose nothing says where the scanner stood.
+    seen_from = eye if pinhole is not None or T_frame_scanner is not None else np.full(3, np.nan)
+    quality = _quality(face, frame, local, found, features, fitted, part, seen_from)
     _check(quality, features, part, gates)
     return _assemble(features, face, frame, fitted, part, quality, T_frame_scanner)
 
