@@ -30,12 +30,12 @@ class _JumpingSelector(selectors.DefaultSelector):
         self.now = 0.0
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        ready = super().select(0)
-        if not ready:
-            if timeout is None:
-                raise Deadlock("nothing is ready and no timer is set")
+        if timeout is not None:  # nothing outside the loop can bring an event: the system need not be asked
             self.now += max(timeout, 0.0)
-        return list(ready)
+            return []
+        if ready := super().select(0):
+            return list(ready)
+        raise Deadlock("nothing is ready and no timer is set")
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):

@@ -63,26 +63,32 @@ class Permits:
         return _error(device, readings, safety_refusal(readings.safety))
 
     async def _read(self, name: str, moving: Axis | None) -> Readings:
-        needed, axes = NEEDED.get(name, ("safety",)), self._axes
-        deadline = asyncio.get_running_loop().time() + READ_DEADLINE_S
-        return Readings(
-            axis=await _or_none(moving.read(), deadline) if moving is not None else None,
-            safety=await _or_none(self._safety.read(), deadline),
-            chuck=await _or_none(self._chuck.read(), deadline) if "chuck" in needed else None,
-            camera=await _or_none(self._camera_park.read(), deadline) if "camera_park" in needed else None,
-            jack=await _or_none(axes["jack"].read(), deadline) if "jack" in needed else None,
-            gun_feed=await _or_none(axes["gun_feed"].read(), deadline) if "gun_feed" in needed else None,
-            gun_table=await _or_none(axes["gun_table"].read(), deadline) if "gun_table" in needed else None,
-            guarded=self._guard.state().armed,
-        )
+        asked: dict[str, Callable[[], Awaitable[Any]]] = {} if moving is None else {"axis": moving.read}
+        for device in NEEDED.get(name, ("safety",)):
+            match device:
+                case "safety":
+                    asked["safety"] = self._safety.read
+                case "chuck":
+                    asked["chuck"] = self._chuck.read
+                case "camera_park":
+                    asked["camera"] = self._camera_park.read
+                case "jack" | "gun_feed" | "gun_table":
+                    asked[device] = self._axes[device].read
+        return Readings(**await _answers(asked), guarded=self._guard.state().armed)
 
 
-async def _or_none(read: Awaitable[T], deadline: float) -> T | None:
-    try:
-        async with asyncio.timeout_at(deadline):
-            return await read
-    except (DeviceError, TimeoutError):
-        return None
+async def _answers(asked: Mapping[str, Callable[[], Awaitable[Any]]]) -> dict[str, Any]:
+    """What each gives, one after the other within `READ_DEADLINE_S` in all; None for one that fails or is late."""
+    deadline = asyncio.get_running_loop().time() + READ_DEADLINE_S
+    answers: dict[str, Any] = {}
+    while len(answers) < len(asked):  # once more only behind one that used up the time
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(deadline):
+                for name, read in list(asked.items())[len(answers) :]:
+                    answers[name] = None
+                    with contextlib.suppress(DeviceError):
+                        answers[name] = await read()
+    return answers
 
 
 def _error(device: str, readings: Readings, reason: str | None) -> CellError | None:

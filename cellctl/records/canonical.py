@@ -23,18 +23,22 @@ from pydantic import BaseModel
 from cellctl.stamps import rfc3339
 
 Plain = None | bool | int | float | str | list[Any] | dict[str, Any]
+PLAIN_TYPES = frozenset((str, int, bool, type(None)))
 OnArray = Callable[[str, NDArray[Any]], Plain]
 """Gets the name of the field that holds an array, and the array; gives what stands in its place."""
 
 
 def array_as_list(name: str, array: NDArray[Any]) -> Plain:
     """The array itself, as nested lists."""
-    plain: Plain = plain_of(array.tolist())
+    as_it_is = array.dtype.kind in "biu" or (array.dtype.kind == "f" and bool(np.isfinite(array).all()))
+    plain: Plain = array.tolist() if as_it_is else plain_of(array.tolist())
     return plain
 
 
 def plain_of(value: object, on_array: OnArray = array_as_list, *, name: str = "value") -> Any:
     """`value` in terms of JSON. Raises TypeError for what has no canonical form (sets, functions, bytes)."""
+    if type(value) in PLAIN_TYPES or (type(value) is float and math.isfinite(value)):  # nearly every value
+        return value
     if isinstance(value, Enum):
         return plain_of(value.value, on_array, name=name)
     if value is None or isinstance(value, bool | int | str):
@@ -53,15 +57,17 @@ def plain_of(value: object, on_array: OnArray = array_as_list, *, name: str = "v
 
 
 def _container(value: object, on_array: OnArray, name: str) -> Any:
+    if isinstance(value, dict):
+        return {_key(key): plain_of(item, on_array, name=str(key)) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_of(item, on_array, name=name) for item in value]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return {key: plain_of(item, on_array, name=key) for key, item in fields.items()}
     if isinstance(value, BaseModel):
         return plain_of(value.model_dump(), on_array, name=name)
     if isinstance(value, Mapping):
-        return {_key(key): plain_of(item, on_array, name=str(key)) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_of(item, on_array, name=name) for item in value]
+        return plain_of(dict(value), on_array, name=name)
     raise TypeError(f"{name}: a {type(value).__name__} has no canonical form")
 
 
@@ -80,6 +86,8 @@ def number_of(value: object) -> float:
 
 
 def _key(key: object) -> str:
+    if type(key) is str:
+        return key
     if isinstance(key, Enum):
         key = key.value
     if not isinstance(key, str | int) or isinstance(key, bool):

@@ -39,8 +39,8 @@ class Row:
 
     def line(self) -> str:
         """The row as one line of an exported journal: canonical JSON with the payload as an object."""
-        fields = {key: getattr(self, key) for key in ROW_KEYS}
-        return canonical(fields | {"payload": self.value})
+        before, after = (canonical({key: getattr(self, key) for key in keys}) for keys in (ROW_KEYS[:2], ROW_KEYS[3:]))
+        return f'{before[:-1]},"payload":{self.payload},{after[1:]}'
 
 
 def link(seq: int, time_s: float, utc: str, kind: str, payload: str, prev: str) -> Row:

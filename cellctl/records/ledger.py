@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from numpy.typing import NDArray
 
 from cellctl.records.blobs import Blobs, is_scan
-from cellctl.records.canonical import Plain, plain_of
+from cellctl.records.canonical import Plain, array_as_list, plain_of
 from cellctl.records.journal import Journal
 from cellctl.stamps import Stamps
 from hal.errors import CellError
@@ -80,7 +80,7 @@ class JournalLedger:
 
         def aside(name: str, array: NDArray[Any]) -> Plain:
             if array.size <= INLINE_ELEMENTS:
-                return plain_of(array.tolist())  # type: ignore[no-any-return]
+                return array_as_list(name, array)
             reference: dict[str, Plain] = {"name": name, "shape": list(array.shape), "dtype": array.dtype.str}
             large.append((reference, name, array))
             return reference

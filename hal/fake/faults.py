@@ -86,6 +86,10 @@ class FaultBook:
         """Loop time at which `fault` begins; infinite while its phase has not been entered."""
         return fault.at_s + (self._entered_s.get(fault.phase, math.inf) if fault.phase else 0.0)
 
+    def any_of(self, device: str) -> bool:
+        """Whether `device` has faults at all, now or ever."""
+        return device in self._by_device
+
     def active(self, device: str, kind: str, now: float) -> Fault | None:
         """The fault of this kind that holds at `now`, or None."""
         for fault in self._by_device.get(device, ()):
@@ -104,10 +108,14 @@ class FaultBook:
 
     def power_cut(self, now: float) -> str:
         """Why the hard-wired circuit has taken the power away at `now`; empty while it is closed."""
+        if not self.any_of("safety"):
+            return ""
         return next((kind for kind in POWER_CUTS if self.active("safety", kind, now)), "")
 
     def next_change(self, device: str, now: float) -> float:
         """The first loop time after `now` at which a known fault of `device` begins or ends; infinite if none."""
+        if not self.any_of(device):
+            return math.inf
         edges = (
             edge
             for fault in self._by_device.get(device, ())

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hal.errors import DeviceError, GuardTripped, ImplausibleReading
 from hal.guard.logic import Trip, Watch, check
+from hal.guard.silence import Silence
 from hal.interfaces import Axis, ForceBlock, ForceSensor, GuardLimits, GuardState
 from hal.latch import Latch
 
@@ -194,18 +195,23 @@ class InLoopGuard:
                 self._acting = False
 
     async def _until_trip(self) -> Trip | None:
+        async with asyncio.timeout(None) as timeout:
+            silence = Silence(timeout)
+            try:
+                return await self._watch_blocks(silence)
+            finally:
+                silence.end()
+
+    async def _watch_blocks(self, silence: Silence) -> Trip | None:
         loop, sensor = asyncio.get_running_loop(), self._sensor
-        async with asyncio.timeout(None) as silence:
-            while self._wanted:
-                limits = self._watch.limits if self._armed else _NO_LIMITS
-                count = limits.block if self._armed else min(self._idle_block, max(w.wanted for w in self._windows))
-                stale_s = limits.stale_ms * 1e-3 if self._armed else self._idle_stale_s
-                silence.reschedule(loop.time() + count / sensor.rate_hz + stale_s)
-                block = await sensor.block(
-                    count, low_n=limits.tare_n + limits.low_n, high_n=limits.tare_n + limits.trip_n
-                )
-                if trip := self._look(block, loop.time()):
-                    return trip
+        while self._wanted:
+            limits = self._watch.limits if self._armed else _NO_LIMITS
+            count = limits.block if self._armed else min(self._idle_block, max(w.wanted for w in self._windows))
+            stale_s = limits.stale_ms * 1e-3 if self._armed else self._idle_stale_s
+            silence.over_by(loop.time() + count / sensor.rate_hz + stale_s)
+            block = await sensor.block(count, low_n=limits.tare_n + limits.low_n, high_n=limits.tare_n + limits.trip_n)
+            if trip := self._look(block, loop.time()):
+                return trip
         return None
 
     def _look(self, block: ForceBlock, now: float) -> Trip | None:

@@ -50,8 +50,9 @@ def check(watch: Watch, block: ForceBlock, now: float) -> tuple[Watch, Trip | No
     if watch.next_sequence is not None and block.sequence != watch.next_sequence:
         return watch, Trip(f"{limits.label}: sample {watch.next_sequence} expected, {block.sequence} came")
     low_n, high_n = float(block.samples_n.min()) - limits.tare_n, float(block.samples_n.max()) - limits.tare_n
-    seen = replace(
-        watch,
+    seen = Watch(
+        watch.limits,
+        watch.frozen_samples,
         next_sequence=block.sequence + count,
         peak_n=max(watch.peak_n, high_n) if high_n == high_n else watch.peak_n,
         last_n=high_n if low_n == high_n else float(block.samples_n[-1]) - limits.tare_n,
