@@ -33,9 +33,14 @@ class Trajectory:
     accelerations: Array
     starts: tuple[float, ...] = field(init=False)
     """`times` for looking up one."""
+    pieces: tuple[tuple[float, float, float, float], ...] = field(init=False)
+    """Time, position, velocity and acceleration of each, likewise."""
 
     def __post_init__(self) -> None:
+        columns = (self.times, self.positions, self.velocities, self.accelerations)
+        pieces = tuple(zip(*(column.tolist() for column in columns), strict=True))
         object.__setattr__(self, "starts", tuple(self.times.tolist()))
+        object.__setattr__(self, "pieces", pieces)
 
     def _piece(self, time_s: ArrayLike) -> tuple[NDArray[np.intp], Array]:
         time = np.asarray(time_s, dtype=np.float64)
@@ -59,9 +64,8 @@ class Trajectory:
 
     def at(self, time_s: float) -> tuple[float, float, float]:
         """Position, velocity and acceleration at one time."""
-        piece = max(bisect_right(self.starts, time_s) - 1, 0)
-        dt = max(time_s - self.starts[piece], 0.0)
-        x, v, a = float(self.positions[piece]), float(self.velocities[piece]), float(self.accelerations[piece])
+        begin_s, x, v, a = self.pieces[max(bisect_right(self.starts, time_s) - 1, 0)]
+        dt = max(time_s - begin_s, 0.0)
         return x + dt * (v + 0.5 * dt * a), v + dt * a, a
 
     @property

@@ -137,9 +137,10 @@ class Plant:
             worst = np.maximum(self.engagement.peak_n, self.engagement.lateral_peak_n)
             for stud in np.flatnonzero(worst > self.numbers.properties.damage_force_n):
                 self.damage(f"stud {stud} was overloaded")
-        entered = self.geometry.entry_gap_mm - self.geometry.lead_in_mm - self.geometry.chamfer_depth_mm
-        if high > low and curve.gap_at(low) > entered >= curve.gap_at(high):
-            self.engagement.enter(dock)
+        if high > low:
+            entered = self.geometry.entry_gap_mm - self.geometry.lead_in_mm - self.geometry.chamfer_depth_mm
+            if curve.gap_at(low) > entered >= curve.gap_at(high):
+                self.engagement.enter(dock)
 
     def _reaches(self, motor_mm: float) -> bool:
         """Whether studs and shaft can touch with the jack at `motor_mm`; a millimetre early."""

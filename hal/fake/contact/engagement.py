@@ -165,14 +165,19 @@ def closing_resistance_n(dock: Dock) -> float:
 
 
 def _studs_in(dock: Dock, gap_mm: float) -> bool:
+    return gap_mm < _deepest_entry_mm(dock)
+
+
+def _deepest_entry_mm(dock: Dock) -> float:
+    """Gap below which the studs are through the chamfers, with room for a local curve."""
     geometry = dock.geometry
-    return gap_mm < geometry.entry_gap_mm - geometry.lead_in_mm - geometry.chamfer_depth_mm - 2.0 * NEAR_MM
+    return geometry.entry_gap_mm - geometry.lead_in_mm - geometry.chamfer_depth_mm - 2.0 * NEAR_MM
 
 
 def _inner_grid(dock: Dock) -> Array:
     """The part of the grid beyond the entry, from well before the studs count as in."""
     gaps = gap_grid(dock)
-    return gaps[[_studs_in(dock, gap - NEAR_MM) for gap in gaps]]
+    return np.asarray(gaps[_deepest_entry_mm(dock) > gaps - NEAR_MM])
 
 
 def _key(dock: Dock, step_mm: float) -> tuple[object, ...]:
