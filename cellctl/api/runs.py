@@ -12,6 +12,7 @@ from fastapi import APIRouter, Depends, Query
 from fastapi.responses import HTMLResponse, StreamingResponse
 
 from cellctl.api.auth import Allow, Role
+from cellctl.api.bolts import bolts_of, recipe_in
 from cellctl.api.problems import ProblemError
 from cellctl.api.schemas import Joint, Joints, JournalPage, JournalRow, Phase, Run, Runs, Serials
 from cellctl.api.services import Services, services_of
@@ -66,7 +67,8 @@ async def joints(run_id: str, services: Annotated[Services, Depends(services_of)
     summary = await _summary(run_id, services)
     if summary is None:
         return Joints(count=None, items=[])
-    recipe = services.recipes.get(summary.recipe, summary.recipe_version)
+    header = await services.runs.rows(run_id, limit=1)
+    recipe = recipe_in(header[0].value) if header else None  # the run's own: the book may hold another by now
     items = [
         Joint(
             index=joint["index"],
@@ -79,7 +81,9 @@ async def joints(run_id: str, services: Annotated[Services, Depends(services_of)
         )
         for joint in summary.joints
     ]
-    return Joints(count=recipe.pattern.count if recipe else None, items=items)
+    if recipe is None:
+        return Joints(count=None, items=items)
+    return Joints(count=recipe.pattern.count, items=items, bolts=bolts_of(recipe, summary.joints))
 
 
 @router.get(

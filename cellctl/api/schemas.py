@@ -193,11 +193,25 @@ class Joint(Told):
     simulated: bool
 
 
+BoltState = Literal["open", "partial", "ok", "nok", "unknown"]
+
+
+class Bolt(Told):
+    """What the results prove for one bolt: `ok` is every stage of the recipe and the verification, each once and OK."""
+
+    index: Count
+    state: BoltState
+
+
 class Joints(Told):
-    """All results of a run in the order in which they were made. `count` is the number of joints of the recipe."""
+    """All results of a run in the order in which they were made. `count` is the number of joints of the recipe.
+
+    `bolts` has one entry for each joint of the recipe in the run's record, in the order of their indices.
+    """
 
     count: Count | None
     items: list[Joint]
+    bolts: list[Bolt] = []
 
 
 class RecipeEntry(Told):

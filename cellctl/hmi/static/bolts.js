@@ -1,5 +1,6 @@
-// The bolt map: a shape for each verdict, so that it can be read without colour.
+// The bolt map: a shape for each state, so that it can be read without colour. What is proven for a bolt, the service says.
 const SVG = "http://www.w3.org/2000/svg";
+const SHAPE = { open: "", partial: "part", ok: "ok", nok: "bad", unknown: "bad" };
 
 function put(parent, name, attributes, text) {
   const element = document.createElementNS(SVG, name);
@@ -9,39 +10,29 @@ function put(parent, name, attributes, text) {
   return element;
 }
 
-// The newest result of each bolt, and the stage that counts as the last one seen.
-function newest(items) {
-  const found = new Map();
-  for (const item of items) {
-    const before = found.get(item.index);
-    // A verdict that is not OK stays seen until the same stage is OK.
-    if (!before || before.verdict === "ok" || before.stage === item.stage) found.set(item.index, item);
-  }
-  return found;
+function said(result) {
+  return `${result.stage} ${result.torque_nm.toFixed(1)} N m, ${result.angle_deg.toFixed(0)}\u00b0, ${result.verdict}`;
 }
 
-export function drawBolts(svg, joints, finished) {
+export function drawBolts(svg, joints) {
   svg.replaceChildren();
-  const count = joints.count || 0;
-  const results = newest(joints.items);
-  const stages = [...new Set(joints.items.map((item) => item.stage))];
-  const last = stages[stages.length - 1];
-  const tally = { ok: 0, part: 0, bad: 0 };
+  const count = joints.bolts.length;
+  if (!count) return "no joint yet";
+  const tally = { open: 0, partial: 0, ok: 0, nok: 0, unknown: 0 };
+  const size = Math.min(8, 300 / count);
   put(svg, "circle", { r: 95, class: "bolt" });
-  for (let index = 0; index < count; index += 1) {
+  for (const { index, state } of joints.bolts) {
     const angle = (2 * Math.PI * index) / count;
     const [x, y] = [120 * Math.cos(angle), -120 * Math.sin(angle)];
-    const result = results.get(index);
-    const size = Math.min(8, 300 / count);
-    let kind = "";
-    if (result) kind = result.verdict !== "ok" ? "bad" : finished || result.stage === last ? "ok" : "part";
-    if (kind) tally[kind] += 1;
-    const dot = put(svg, "circle", { cx: x, cy: y, r: size, class: `bolt ${kind === "bad" ? "" : kind}` });
-    const said = result ? `${result.stage}: ${result.torque_nm.toFixed(1)} N m, ${result.angle_deg.toFixed(0)}\u00b0, ${result.verdict}` : "open";
-    put(dot, "title", {}, `bolt ${index}, ${said}`);
-    if (kind === "bad") put(svg, "text", { x, y, class: "mark" }, result.verdict === "nok" ? "\u2715" : "?");
+    const shape = SHAPE[state];
+    tally[state] += 1;
+    const dot = put(svg, "circle", { cx: x, cy: y, r: size, class: `bolt ${shape}` });
+    const results = joints.items.filter((item) => item.index === index).map(said);
+    put(dot, "title", {}, `bolt ${index}, ${state}: ${results.join("; ") || "no result"}`);
+    if (shape === "bad") put(svg, "text", { x, y, class: "mark" }, state === "nok" ? "\u2715" : "?");
     put(svg, "text", { x: x * 0.87, y: y * 0.87, class: "number" }, String(index));
   }
-  const stage = last ? `stage ${last}: ` : "";
-  return count ? `${stage}${tally.ok} of ${count} bolts OK, ${tally.part} in an earlier stage, ${tally.bad} not OK` : "no joint yet";
+  const bad = tally.nok + tally.unknown;
+  const last = joints.items.length ? `last result in stage ${joints.items[joints.items.length - 1].stage}: ` : "";
+  return `${last}${tally.ok} of ${count} bolts OK in every stage, ${tally.partial} in some, ${bad} not OK`;
 }

@@ -79,14 +79,14 @@ function showCommands(allowed) {
 async function showRun(cell) {
   if (!cell.run_id) {
     by("result").hidden = true;
-    by("bolts-summary").textContent = drawBolts(by("bolts"), { count: 0, items: [] }, false);
+    by("bolts-summary").textContent = drawBolts(by("bolts"), { items: [], bolts: [] });
     return;
   }
   shownRun = cell.run_id;
   shownAt = Date.now();
   const run = cell.state === "Execute" ? NOT_ENDED : await api.get(`/runs/${cell.run_id}`);
   const joints = await api.get(`/runs/${cell.run_id}/joints`);
-  by("bolts-summary").textContent = drawBolts(by("bolts"), joints, Boolean(run.verdict));
+  by("bolts-summary").textContent = drawBolts(by("bolts"), joints);
   by("result").hidden = !run.verdict;
   by("verdict").textContent = run.verdict ? `${run.verdict}${run.sealed ? ", sealed" : ""}` : "";
   by("verdict").className = run.verdict === "accepted" ? "" : "abnormal";
