@@ -169,6 +169,7 @@ class Heat(Section):
     loop_break_s: Seconds = Field(default=90.0, gt=0)
     loop_break_rise_k: Kelvin = Field(default=2.0, gt=0)
     timeout_s: Seconds = Field(default=1800.0, gt=0)
+    spigot_depth_mm: Mm = Field(default=3.0, gt=0, description="gap of the faces at which the spigot engages")
     seat_speed_mm_s: MmPerSecond = Field(default=1.0, gt=0)
     seat_window_s: Seconds = Field(default=8.0, gt=0)
     seat_force_limit_n: Newton = Field(default=400.0, gt=0)

@@ -70,6 +70,7 @@ def geometry_of(recipe: Recipe) -> JointGeometry:
         face_outer_diameter_mm=_size(shaft, "shaft", "face_outer_diameter_mm"),
         ledge_step_mm=_size(shaft, "shaft", "ledge_step_mm"),
         spigot_diameter_mm=_size(shaft, "shaft", "spigot_diameter_mm"),
+        spigot_length_mm=recipe.heat.spigot_depth_mm,
         interference_mm=recipe.heat.fit_interference_mm,
         heated_member=recipe.heat.member,
         expansion_per_k=recipe.heat.expansion_per_k,

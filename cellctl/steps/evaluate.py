@@ -51,6 +51,8 @@ def _heat(recipe: Recipe, heat: HeatProof | None) -> tuple[str, ...]:
 def _closure(recipe: Recipe, seating: Seating, closure: Closure) -> tuple[str, ...]:
     reasons = []
     limit = recipe.limits.gap_mm
+    if not seating.entry_peak_n < recipe.jack_up.force_limit_n:
+        reasons.append(f"{seating.entry_peak_n:.1f} N before the spigot (limit {recipe.jack_up.force_limit_n} N)")
     if not seating.seated and not recipe.heat.draw_in:
         reasons.append("the joint was not seated")
     for number, gap in enumerate(closure.gap_mm, start=1):

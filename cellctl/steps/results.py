@@ -74,7 +74,8 @@ class HeatProof:
 
 @dataclass(frozen=True, slots=True)
 class Seating:
-    """The faces are together and held by `hold_n` of the jack."""
+    """The faces are together and held by `hold_n` of the jack. `entry_peak_n` is the largest net force before the
+    spigot engaged, `peak_n` the largest after that."""
 
     seated: bool
     z_mm: float
@@ -82,6 +83,7 @@ class Seating:
     hold_n: float
     peak_n: float
     seconds_s: float
+    entry_peak_n: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

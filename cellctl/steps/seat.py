@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from dataclasses import replace
 from statistics import fmean
 
 from cellctl.ports import RunContext, RunHeld
@@ -11,6 +12,8 @@ from cellctl.steps.heat import STALE_S, check_channels, look, mean_c
 from cellctl.steps.jack_up import guard_limits, guarded_move
 from cellctl.steps.results import Aligned, HeatProof, Insertion, Seating
 
+ENTRY_MM = 0.05
+"""The spigot may engage so much earlier than the recipe says: by then the limit of the insertion no longer holds."""
 TOUCH_MM = 0.2
 """Above this gap the jack travels at seating speed, below it closes step by step with a look at the force."""
 LOOK_S = 0.02
@@ -27,12 +30,13 @@ async def seat(run: RunContext, aligned: Aligned, insertion: Insertion, proof: H
     if proof is not None:
         await run.ledger.act("heater", "off", {}, lambda key: run.devices.heater.off())
     run.progress.report("heat", 0.95, "seating")
+    entry_n = await _approach(run, aligned, insertion)
     seating, trip = await _close(run, aligned, insertion, started)
+    seating = replace(seating, entry_peak_n=entry_n)
     if seating.seated:
         return seating
-    if (
-        run.recipe.heat.draw_in and seating.peak_n >= run.recipe.heat.hold_force_n
-    ):  # the nuts close what is left, and the probes prove it then
+    if run.recipe.heat.draw_in and seating.peak_n >= run.recipe.heat.hold_force_n:
+        # the nuts close what is left, and the probes prove it then
         await _clear_trip(run)
         return seating
     shown = ", ".join("no value" if math.isinf(gap) else f"{gap:.3f} mm" for gap in seating.gap_mm)
@@ -53,6 +57,18 @@ async def _require_window(run: RunContext, proof: HeatProof | None) -> None:
             "temperature_window_left",
             f"the difference is {difference:.1f} K, outside {proof.window_low_k:.1f} to {proof.window_high_k:.1f} K",
         )
+
+
+async def _approach(run: RunContext, aligned: Aligned, insertion: Insertion) -> float:
+    """Up to the spigot under the insertion's limit: hot, the studs have less room. Returns the peak, newton."""
+    gain = run.calibration.jack_force.gain
+    limits = guard_limits(run, "entry", insertion.tare_n, run.guard_plan.insert_trip_n / gain)
+    spigot_z = aligned.alignment.target.z_mm - run.recipe.heat.spigot_depth_mm - ENTRY_MM
+    state = await guarded_move(run, max(spigot_z, insertion.z_mm), run.recipe.jack_up.contact_speed_mm_s, limits)
+    if state.tripped:
+        await _withdrawn(run, insertion)
+        raise RunHeld("hot_contact", f"before the spigot: {state.reason}; the studs do not keep free while hot")
+    return state.peak_n * gain
 
 
 async def _close(run: RunContext, aligned: Aligned, insertion: Insertion, started: float) -> tuple[Seating, str]:

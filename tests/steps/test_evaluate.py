@@ -40,6 +40,7 @@ def test_a_sound_joint_is_accepted() -> None:
     ("changes", "word"),
     [
         ({"insertion": replace(INSERTION, peak_total_n=10.5)}, "insertion force"),
+        ({"seating": replace(SEATING, entry_peak_n=11.0)}, "before the spigot"),
         ({"heat": None}, "not heated"),
         ({"heat": replace(HEAT, difference_k=50.0)}, "temperature difference"),
         ({"closure": replace(CLOSURE, gap_mm=(0.0, float("inf"), 0.0))}, "gap probe 2"),
