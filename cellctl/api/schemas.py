@@ -182,13 +182,13 @@ class JournalPage(Told):
 
 
 class Joint(Told):
-    """One joint in one stage; fields follow OPC 40451 in meaning."""
+    """One joint in one stage; fields follow OPC 40451 in meaning. Null is a number that the gun never told."""
 
     index: Count
     gun: str
     stage: str
-    torque_nm: NewtonMetre
-    angle_deg: Deg
+    torque_nm: NewtonMetre | None
+    angle_deg: Deg | None
     verdict: str
     simulated: bool
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -60,5 +61,23 @@ def test_bolts_that_are_only_snug_are_not_finished_by_the_end_of_the_run(tmp_pat
         assert (run["state"], run["verdict"]) == ("Stopped", "held")
         bolts = (await api.client.get(f"/api/v1/runs/{run_id}/joints")).json()["bolts"]
         assert [bolt["state"] for bolt in bolts] == ["partial"] * 2 + ["open"] * 34
+
+    run_api(tmp_path, body)
+
+
+def test_a_result_without_numbers_is_told(tmp_path: Path) -> None:
+    async def body(api: Api) -> None:
+        await api.idle()
+        run_id = (await api.client.post("/api/v1/job-orders", json=ORDER)).json()["run_id"]
+        await api.services.controller.until(State.EXECUTE)
+        opened = api.sessions[0].opened
+        assert opened is not None
+        lost = {"index": 9, "gun": "a", "stage": "snug", "torque_nm": math.nan, "angle_deg": math.nan}
+        await opened.ledger.note("joint", lost | {"verdict": "unknown"})
+        answer = await api.client.get(f"/api/v1/runs/{run_id}/joints")
+        assert answer.status_code == 200
+        (told,) = [item for item in answer.json()["items"] if item["index"] == 9]
+        assert (told["torque_nm"], told["angle_deg"], told["verdict"]) == (None, None, "unknown")
+        assert answer.json()["bolts"][9] == {"index": 9, "state": "unknown"}
 
     run_api(tmp_path, body)

@@ -10,8 +10,12 @@ function put(parent, name, attributes, text) {
   return element;
 }
 
+function number(value, digits) {
+  return value === null ? "?" : value.toFixed(digits);
+}
+
 function said(result) {
-  return `${result.stage} ${result.torque_nm.toFixed(1)} N m, ${result.angle_deg.toFixed(0)}\u00b0, ${result.verdict}`;
+  return `${result.stage} ${number(result.torque_nm, 1)} N m, ${number(result.angle_deg, 0)}\u00b0, ${result.verdict}`;
 }
 
 export function drawBolts(svg, joints) {
