@@ -22,7 +22,10 @@ def bolts_of(recipe: Recipe, results: Iterable[Mapping[str, Any]]) -> list[Bolt]
     of_bolt: dict[int, list[tuple[str, str]]] = {}
     for result in results:
         of_bolt.setdefault(result["index"], []).append((result["stage"], result["verdict"]))
-    return [Bolt(index=index, state=_state(due, of_bolt.get(index, []))) for index in range(recipe.pattern.count)]
+    return [
+        Bolt(index=index, angle_deg=angle, state=_state(due, of_bolt.get(index, [])))
+        for index, angle in enumerate(recipe.pattern.angles())
+    ]
 
 
 def recipe_in(header: object) -> Recipe | None:

@@ -197,9 +197,13 @@ BoltState = Literal["open", "partial", "ok", "nok", "unknown"]
 
 
 class Bolt(Told):
-    """What the results prove for one bolt: `ok` is every stage of the recipe and the verification, each once and OK."""
+    """What the results prove for one bolt: `ok` is every stage of the recipe and the verification, each once and OK.
+
+    `angle_deg` is where it sits on its circle, right-handed about the outward normal of the shaft's face.
+    """
 
     index: Count
+    angle_deg: Deg
     state: BoltState
 
 

@@ -44,6 +44,13 @@ def test_only_all_stages_and_the_verification_finish_a_bolt(recipe: Recipe) -> N
     assert [bolt.state for bolt in bolts] == states + ["open"] * 27
 
 
+def test_bolts_sit_where_the_recipe_puts_them(recipe: Recipe) -> None:
+    pattern = recipe.pattern.model_copy(update={"count": 3, "angles_deg": (0.0, 100.0, 250.0)})
+    bolts = bolts_of(recipe.model_copy(update={"pattern": pattern}), [])
+    assert [bolt.angle_deg for bolt in bolts] == [0.0, 100.0, 250.0]
+    assert [bolt.angle_deg for bolt in bolts_of(recipe, [])][:3] == [0.0, 10.0, 20.0]
+
+
 def test_the_recipe_of_the_header_is_read_or_nothing_is_known(recipe: Recipe) -> None:
     assert recipe_in({"recipe": recipe.model_dump(mode="json")}) == recipe
     wrong: tuple[object, ...] = (None, [], {}, {"recipe": None}, {"recipe": {"pattern": {"count": 36}}})
@@ -78,6 +85,6 @@ def test_a_result_without_numbers_is_told(tmp_path: Path) -> None:
         assert answer.status_code == 200
         (told,) = [item for item in answer.json()["items"] if item["index"] == 9]
         assert (told["torque_nm"], told["angle_deg"], told["verdict"]) == (None, None, "unknown")
-        assert answer.json()["bolts"][9] == {"index": 9, "state": "unknown"}
+        assert answer.json()["bolts"][9] == {"index": 9, "angle_deg": 90.0, "state": "unknown"}
 
     run_api(tmp_path, body)

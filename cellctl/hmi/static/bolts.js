@@ -25,8 +25,8 @@ export function drawBolts(svg, joints) {
   const tally = { open: 0, partial: 0, ok: 0, nok: 0, unknown: 0 };
   const size = Math.min(8, 300 / count);
   put(svg, "circle", { r: 95, class: "bolt" });
-  for (const { index, state } of joints.bolts) {
-    const angle = (2 * Math.PI * index) / count;
+  for (const { index, angle_deg: nominal, state } of joints.bolts) {
+    const angle = (nominal * Math.PI) / 180;
     const [x, y] = [120 * Math.cos(angle), -120 * Math.sin(angle)];
     const shape = SHAPE[state];
     tally[state] += 1;
