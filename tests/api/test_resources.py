@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import re
 from pathlib import Path
 
 from prometheus_client.parser import text_string_to_metric_families
 
+from cellctl.api.schemas import Cell
 from cellctl.states import State
 from tests.api.harness import ORDER, Api, run_api
 
@@ -149,6 +151,20 @@ def test_the_page_needs_nothing_from_outside(tmp_path: Path) -> None:
             assert "https://" not in outside
         assert "http" not in index.text
         assert index.text.count("not the emergency stop") == 2
+
+    run_api(tmp_path, body, role="")
+
+
+def test_the_page_shows_what_the_cell_says_is_wrong(tmp_path: Path) -> None:
+    async def body(api: Api) -> None:
+        index = (await api.client.get("/")).text
+        script = (await api.client.get("/page/page.js")).text
+        places = set(re.findall(r'by\("([a-z-]+)"\)', script))
+        assert len(places) > 15
+        assert [place for place in places if f'id="{place}"' not in index] == []
+        shown = set(re.findall(r"\bcell\.([a-z_]+)", script))
+        wanted = {"why", "alarms", "unsafe_devices", "allowed_commands", "simulated", "state"}
+        assert wanted <= shown <= set(Cell.model_fields)
 
     run_api(tmp_path, body, role="")
 

@@ -27,6 +27,13 @@ function token() {
   return sessionStorage.getItem("token");
 }
 
+function listed(text, kind) {
+  const item = document.createElement("li");
+  item.className = kind;
+  item.textContent = text;
+  return item;
+}
+
 function showCell(cell) {
   by("cell-name").textContent = cell.name;
   by("simulated").hidden = !cell.simulated;
@@ -38,11 +45,10 @@ function showCell(cell) {
   showProgress(cell);
   showCommands(cell.allowed_commands);
   by("alarms").replaceChildren(...cell.alarms.map((alarm) => {
-    const item = document.createElement("li");
-    item.className = alarm.latched ? "latched" : "";
-    item.textContent = `${alarm.text} (${alarm.code}${alarm.latched ? ", latched" : ""})`;
-    return item;
+    const text = `${alarm.text} (${alarm.code}${alarm.latched ? ", latched" : ""})`;
+    return listed(text, alarm.latched ? "latched" : "");
   }));
+  by("unsafe").replaceChildren(...cell.unsafe_devices.map(({ device, reason }) => listed(`${device} is not proven safe: ${reason}`, "bad")));
 }
 
 function showProgress(cell) {
@@ -90,11 +96,7 @@ async function showRun(cell) {
   by("result").hidden = !run.verdict;
   by("verdict").textContent = run.verdict ? `${run.verdict}${run.sealed ? ", sealed" : ""}` : "";
   by("verdict").className = run.verdict === "accepted" ? "" : "abnormal";
-  by("reasons").replaceChildren(...run.reasons.map((reason) => {
-    const item = document.createElement("li");
-    item.textContent = reason;
-    return item;
-  }));
+  by("reasons").replaceChildren(...run.reasons.map((reason) => listed(reason, "")));
 }
 
 async function truth() {
