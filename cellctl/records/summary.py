@@ -115,6 +115,7 @@ def summarise(rows: tuple[Row, ...]) -> RunSummary:
     said = ended if ended and ended.get("verdict") else (value_of(rows, "verdict") or {})
     recipe = (head.get("recipe") or {}).get("recipe") or {}
     first, last = (rows[0], rows[-1]) if rows else (None, None)
+    at_s = continued_s(rows)
     return RunSummary(
         run_id=str(head.get("run_id", "")),
         job_order_id=str(head.get("job_order_id", "")),
@@ -129,7 +130,7 @@ def summarise(rows: tuple[Row, ...]) -> RunSummary:
         seed=head.get("seed"),
         started_utc=first.utc if first else "",
         ended_utc=last.utc if last and ended else None,
-        cell_time_s=last.time_s - first.time_s if first and last else 0.0,
+        cell_time_s=at_s[-1] - at_s[0] if at_s else 0.0,
         rows=len(rows),
         journal_hash=last.hash if last else GENESIS,
         phases=phases(rows),
@@ -144,19 +145,35 @@ def phases(rows: tuple[Row, ...]) -> tuple[PhaseSummary, ...]:
     """All phases with their states and times, from where the one before was complete."""
     ended = value_of(rows, "ended")
     state = str(ended["state"]) if ended else "Running"
+    at_s = continued_s(rows)
     found = []
-    since = rows[0].time_s if rows else 0.0
+    since = at_s[0] if at_s else 0.0
     running = True
     for name, result in LAST_RESULT.items():
-        done = [row for row in rows if row.kind == f"phase_{name}" and _type(row) == result]
+        done = [at for at, row in zip(at_s, rows, strict=True) if row.kind == f"phase_{name}" and _type(row) == result]
         if done:
-            found.append(PhaseSummary(name, "Complete", done[-1].time_s - since))
-            since = done[-1].time_s
+            found.append(PhaseSummary(name, "Complete", done[-1] - since))
+            since = done[-1]
         elif running and rows:
-            found.append(PhaseSummary(name, state, rows[-1].time_s - since))
+            found.append(PhaseSummary(name, state, at_s[-1] - since))
             running = False
         else:
             found.append(PhaseSummary(name, "Idle", 0.0))
+    return tuple(found)
+
+
+def continued_s(rows: tuple[Row, ...]) -> tuple[float, ...]:
+    """Cell time of each row on the clock of the first, s; never falls.
+
+    Where the clock steps back, another process writes on with a clock of its own: what lay between the two is not
+    known in cell time and counts nothing.
+    """
+    found = []
+    behind = 0.0
+    for number, row in enumerate(rows):
+        if number:
+            behind += max(0.0, rows[number - 1].time_s - row.time_s)
+        found.append(row.time_s + behind)
     return tuple(found)
 
 

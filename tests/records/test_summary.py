@@ -1,6 +1,6 @@
 import asyncio
 
-from cellctl.records.chain import GENESIS, Row
+from cellctl.records.chain import GENESIS, Row, link
 from cellctl.records.summary import PhaseSummary, RunEnded, as_plain, from_plain, summarise
 from hal.clock import run_virtual
 from tests.records.world import Insertion, desk, header, small_run
@@ -75,3 +75,16 @@ def test_what_is_no_finite_number_is_none() -> None:
 def test_nothing_written_is_nothing_known() -> None:
     run = summarise(())
     assert (run.state, run.verdict, run.journal_hash, run.rows) == ("Running", None, GENESIS, 0)
+
+
+def test_a_run_that_another_process_ended_has_no_negative_time() -> None:
+    times_s = {"run": 100.0, "phase_scan": 130.0, "act": 11_600.0, "verdict": 3.5, "ended": 5.0}
+    payloads = {"phase_scan": '{"$type":"Scans"}', "ended": '{"state":"Aborted","verdict":"held"}'}
+    rows: list[Row] = []
+    for seq, (kind, time_s) in enumerate(times_s.items(), start=1):
+        prev = rows[-1].hash if rows else GENESIS
+        rows.append(link(seq, time_s, "2026-01-01T00:00:00.000000Z", kind, payloads.get(kind, "{}"), prev))
+    run = summarise(tuple(rows))
+    assert run.phases[:2] == (PhaseSummary("scan", "Complete", 30.0), PhaseSummary("align", "Aborted", 11_471.5))
+    assert run.cell_time_s == 11_501.5
+    assert all(phase.cell_time_s == 0.0 for phase in run.phases[2:])
