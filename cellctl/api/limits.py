@@ -7,7 +7,7 @@ import asyncio
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from cellctl.api.problems import Problem, answer
+from cellctl.api.problems import Problem, answer, title_of
 
 MAX_BODY_BYTES = 1_000_000
 DISCARD_BYTES = 32_000_000
@@ -72,7 +72,6 @@ def _replay(body: bytes, receive: Receive) -> Receive:
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, code: str, detail: str) -> None:
-    title = {408: "Request Timeout", 413: "Content Too Large"}[status]
-    problem = Problem(title=title, status=status, detail=detail, code=code)
+    problem = Problem(title=title_of(status), status=status, detail=detail, code=code)
     response = answer(Request(scope), problem, {"Connection": "close"})
     await response(scope, receive, send)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
+from types import MappingProxyType
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -13,6 +14,15 @@ from starlette.exceptions import HTTPException
 
 from cellctl.states import Refused
 from hal.errors import CellError
+
+
+PHRASES: Mapping[int, str] = MappingProxyType({413: "Content Too Large", 422: "Unprocessable Content"})
+"""Phrases of RFC 9110 where the library of an older Python has an older one."""
+
+
+def title_of(status: int) -> str:
+    """The phrase of a status, the same on every Python."""
+    return PHRASES.get(status) or HTTPStatus(status).phrase
 
 
 class Violation(BaseModel):
@@ -86,7 +96,7 @@ class _ProblemResponse(JSONResponse):
 
 async def _http(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
-    title = HTTPStatus(error.status_code).phrase
+    title = title_of(error.status_code)
     code = error.code if isinstance(error, ProblemError) else title.lower().replace(" ", "_")
     violations = error.violations if isinstance(error, ProblemError) else []
     problem = Problem(title=title, status=error.status_code, detail=error.detail, code=code, violations=violations)
@@ -98,9 +108,7 @@ async def _invalid(request: Request, error: Exception) -> JSONResponse:
     violations = [_violation(item) for item in error.errors()[:50]]
     first = violations[0]
     detail = f"{first.pointer or 'body'}: {first.reason}"
-    problem = Problem(
-        title="Unprocessable Content", status=422, detail=detail, code="invalid_request", violations=violations
-    )
+    problem = Problem(title=title_of(422), status=422, detail=detail, code="invalid_request", violations=violations)
     return answer(request, problem)
 
 
@@ -123,7 +131,7 @@ def _clean(text: str) -> str:
 async def _refused(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, Refused)
     problem = Problem(
-        title="Conflict",
+        title=title_of(409),
         status=409,
         detail=str(error),
         code="command_not_allowed",
@@ -136,10 +144,10 @@ async def _refused(request: Request, error: Exception) -> JSONResponse:
 async def _cell_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, CellError)
     status = 404 if error.code == "run_unknown" else 503
-    problem = Problem(title=HTTPStatus(status).phrase, status=status, detail=str(error), code=error.code)
+    problem = Problem(title=title_of(status), status=status, detail=str(error), code=error.code)
     return answer(request, problem)
 
 
 async def _unforeseen(request: Request, error: Exception) -> JSONResponse:
     detail = "an error that was not foreseen; the service's log has it"
-    return answer(request, Problem(title="Internal Server Error", status=500, detail=detail, code="internal_error"))
+    return answer(request, Problem(title=title_of(500), status=500, detail=detail, code="internal_error"))

@@ -117,6 +117,21 @@ def test_other_refusals_are_problem_details_too(tmp_path: Path) -> None:
     run_api(tmp_path, send)
 
 
+def test_a_status_has_one_title_whatever_refuses(tmp_path: Path) -> None:
+    async def send(api: Api) -> None:
+        by_schema = await api.client.get("/api/v1/runs?limit=0")
+        by_hand = await api.client.get("/api/v1/events", headers={"Last-Event-ID": "x"})
+        by_book = await api.client.post(URL, json=ORDER | {"recipe_version": 999})
+        not_json = await api.client.post(URL, content="{", headers=JSON)
+        answers = [by_schema, by_hand, by_book, not_json]
+        told = {(answer.status_code, answer.json()["title"]) for answer in answers}
+        assert told == {(422, "Unprocessable Content")}
+        large = await api.client.post(URL, content=b" " * (1 << 21), headers=JSON)
+        assert (large.status_code, large.json()["title"]) == (413, "Content Too Large")
+
+    run_api(tmp_path, send)
+
+
 def test_an_unforeseen_error_tells_nothing_of_itself(tmp_path: Path) -> None:
     async def send(api: Api) -> None:
         def broken() -> str:
