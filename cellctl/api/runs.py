@@ -94,7 +94,12 @@ async def joints(run_id: str, services: Annotated[Services, Depends(services_of)
 )
 async def record(run_id: str, services: Annotated[Services, Depends(services_of)]) -> StreamingResponse:
     """The sealed record; 404 until the run is sealed."""
-    path = services.runs.record_path(run_id)
+    try:
+        path = services.runs.record_path(run_id)
+    except UnknownRun:
+        if services.orders.of_run(run_id) is None:
+            raise
+        path = None
     if path is None:
         raise ProblemError(404, "record_not_sealed", "the run has no sealed record yet")
     headers = {"Content-Disposition": f'attachment; filename="{run_id}.zip"'}

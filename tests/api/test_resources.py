@@ -71,7 +71,10 @@ def test_a_run_without_a_journal_yet_is_known(tmp_path: Path) -> None:
         assert joints == {"count": None, "items": [], "bolts": []}
         run = (await api.client.get(f"/api/v1/runs/{run_id}")).json()
         assert (run["state"], run["verdict"]) == ("Starting", None)
-        assert (await api.client.get(f"/api/v1/runs/{run_id}/record")).status_code == 404
+        record = await api.client.get(f"/api/v1/runs/{run_id}/record")
+        assert (record.status_code, record.json()["code"]) == (404, "record_not_sealed")
+        unknown = await api.client.get("/api/v1/runs/run-none/record")
+        assert (unknown.status_code, unknown.json()["code"]) == (404, "run_unknown")
 
     run_api(tmp_path, body)
 
