@@ -15,7 +15,6 @@ from starlette.exceptions import HTTPException
 from cellctl.states import Refused
 from hal.errors import CellError
 
-
 PHRASES: Mapping[int, str] = MappingProxyType({413: "Content Too Large", 422: "Unprocessable Content"})
 """Phrases of RFC 9110 where the library of an older Python has an older one."""
 
