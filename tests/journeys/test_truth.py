@@ -68,3 +68,12 @@ def test_a_wrong_force_gain_is_seen_in_the_weight(gain: float) -> None:
 @pytest.mark.parametrize("override", ["camera_shaft_shift_x_mm=0.08", "camera_rotor_rotation_deg=0.025"])
 def test_an_error_below_the_artefact_gate_never_becomes_a_good_verdict_on_a_bad_joint(override: str) -> None:
     never_called_good_when_it_is_not(perturbed(override))
+
+
+def test_studs_that_touch_only_while_hot_are_felt_before_the_seating_force_hides_them() -> None:
+    bent = twin_cell({"hole_diameter_mm": 8.15, "jack_line_tilt_y_deg": 0.01})
+    outcome = assembled(small_recipe(), bent, seed=3)
+    never_called_good_when_it_is_not(outcome)
+    assert outcome.state == "Held", told(outcome)
+    assert "before the spigot" in outcome.reasons[0]
+    assert max(outcome.truth.peak_force_per_bolt_n) > 10.0
