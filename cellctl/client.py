@@ -135,10 +135,11 @@ class CellClient:
         answer = await self._http.get(f"{BASE}/health/ready")
         return Health.model_validate_json(answer.content)
 
-    async def events(self, after: int | None = None) -> AsyncIterator[dict[str, Any]]:
-        """Events after number `after` (None: new ones only), each with `sequence`, `time`, `kind` and `data`.
+    async def events(self, after: int | str | None = None) -> AsyncIterator[dict[str, Any]]:
+        """Events after that number or id (None: new ones only), each with `sequence`, `time`, `kind` and `data`.
 
-        Ends when the service ends the stream.
+        One of kind `gap` has kind and data only: events were missed, so read the cell again. Ends when the service
+        ends the stream.
         """
         headers = {} if after is None else {"Last-Event-ID": str(after)}
         timeout = httpx.Timeout(self._http.timeout.connect, read=None)
@@ -149,15 +150,16 @@ class CellClient:
             async for line in answer.aiter_lines():
                 if line.startswith("data:"):
                     event = json.loads(line[5:])
-                    if "sequence" in event:
-                        yield event
+                    yield event if "sequence" in event else {"kind": "gap", "data": event}
 
     async def until(self, *states: str) -> Cell:
         """Follow the events until the cell is in one of `states`."""
         cell = await self.cell()
         if cell.state in states:
             return cell
-        async for event in self.events(cell.event_sequence):
+        async for event in self.events(cell.event_id):
+            if event["kind"] == "gap" and (cell := await self.cell()).state in states:
+                return cell
             if event["kind"] == "state" and event["data"]["state"] in states:
                 return await self.cell()
         raise httpx.RemoteProtocolError("the event stream ended")

@@ -21,19 +21,38 @@ class Event:
 
 
 class EventLog:
-    """Keeps the newest `keep` events; a reader follows at its own pace and costs nothing while it is slow."""
+    """Keeps the newest `keep` events; a reader follows at its own pace and costs nothing while it is slow.
+
+    `boot` tells this log from that of the service before its restart, whose numbers began at 1 too: it is the
+    microsecond in which the log was made.
+    """
 
     def __init__(self, now: Callable[[], datetime], *, keep: int = 10_000) -> None:
         self._now = now
+        self._boot = f"{now().timestamp() * 1e6:.0f}"
         self._events: deque[Event] = deque(maxlen=keep)
         self._last = 0
         self._closed = False
         self._news = asyncio.Event()
 
     @property
+    def boot(self) -> str:
+        """Digits; another log has others."""
+        return self._boot
+
+    @property
     def last(self) -> int:
         """Number of the newest event, 0 before the first."""
         return self._last
+
+    @property
+    def last_id(self) -> str:
+        """`id_of` the newest event."""
+        return self.id_of(self._last)
+
+    def id_of(self, sequence: int) -> str:
+        """What names an event of that number, apart from the one of that number in another log."""
+        return f"{self._boot}-{sequence}"
 
     @property
     def first(self) -> int:

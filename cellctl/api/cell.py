@@ -37,6 +37,7 @@ async def cell(services: Annotated[Services, Depends(services_of)]) -> Cell:
         unsafe_devices=[UnsafeDevice(device=device, reason=reason) for device, reason in now.unsafe],
         in_state_s=asyncio.get_running_loop().time() - now.since_s,
         event_sequence=services.events.last,
+        event_id=services.events.last_id,
     )
 
 

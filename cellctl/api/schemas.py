@@ -102,7 +102,10 @@ class UnsafeDevice(Told):
 
 
 class Cell(Told):
-    """The cell at this instant. `event_sequence` is the last event that is in this answer already."""
+    """The cell at this instant. `event_sequence` is the last event that is in this answer already.
+
+    `event_id` is the id of that event: given as Last-Event-ID it is known also across a restart of the service.
+    """
 
     name: str
     simulated: bool
@@ -118,6 +121,7 @@ class Cell(Told):
     unsafe_devices: list[UnsafeDevice]
     in_state_s: Seconds
     event_sequence: Count
+    event_id: str
 
 
 class CommandTaken(Told):

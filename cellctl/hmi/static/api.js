@@ -29,9 +29,9 @@ export class Api {
     return allowed ? `${problem.detail}. Allowed: ${allowed}` : problem.detail;
   }
 
-  // Every event after number `after`, in order; ends with the connection.
+  // Every event after the one with the id `after`, in order; ends with the connection.
   async *events(after, signal) {
-    const answer = await this.ask("/events", { headers: { "Last-Event-ID": String(after) }, signal });
+    const answer = await this.ask("/events", { headers: { "Last-Event-ID": after }, signal });
     if (!answer.ok) throw new Error(`events: ${answer.status}`);
     const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
     let buffer = "";

@@ -129,7 +129,7 @@ async function follow() {
   const listen = (async () => {
     heard = Date.now();
     linked("live", false);
-    for await (const event of api.events(cell.event_sequence, ended.signal)) {
+    for await (const event of api.events(cell.event_id, ended.signal)) {
       heard = Date.now();
       fresh = fresh || event !== null;
     }
