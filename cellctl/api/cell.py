@@ -12,6 +12,7 @@ from cellctl.api.problems import ProblemError
 from cellctl.api.schemas import Alarm, Cell, CommandRequest, CommandTaken, Progress, UnsafeDevice
 from cellctl.api.services import Services, services_of
 from cellctl.api.strict import StrictRoute
+from cellctl.safety_watch import WORKING
 from cellctl.states import Command, Refused
 
 router = APIRouter(route_class=StrictRoute, tags=["cell"])
@@ -22,6 +23,7 @@ MES_MAY = frozenset({Command.SUSPEND, Command.UNSUSPEND, Command.STOP, Command.A
 async def cell(services: Annotated[Services, Depends(services_of)]) -> Cell:
     """The cell at this instant."""
     now = services.controller.snapshot()
+    left = services.time_left_s(now) if now.state in WORKING else None  # a run that has ended has no time left to tell
     return Cell(
         name=services.cell_name,
         simulated=services.simulated,
@@ -31,7 +33,7 @@ async def cell(services: Annotated[Services, Depends(services_of)]) -> Cell:
         run_id=now.run_id,
         job_order_id=now.job_order_id,
         phase=now.phase,
-        progress=Progress(fraction=now.fraction, text=now.text, time_left_s=services.time_left_s(now)),
+        progress=Progress(fraction=now.fraction, text=now.text, time_left_s=left),
         allowed_commands=[str(command) for command in now.allowed],
         alarms=[Alarm(code=alarm.code, text=alarm.text, latched=alarm.latched) for alarm in now.alarms],
         unsafe_devices=[UnsafeDevice(device=device, reason=reason) for device, reason in now.unsafe],

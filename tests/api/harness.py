@@ -146,7 +146,7 @@ def services_on(data: Path, wall_s: float) -> tuple[Services, DoubleCell, list[S
         auth=DemoAuth(TOKEN),
         metrics=Metrics(controller, events),
         not_ready=lambda: "",
-        time_left_s=lambda snapshot: None,
+        time_left_s=lambda snapshot: 60.0,
         wall_s=wall_s,
     )
     return services, cell, sessions

@@ -15,6 +15,7 @@ def test_the_cell_says_what_it_does_and_what_it_allows(tmp_path: Path) -> None:
     async def body(api: Api) -> None:
         cell = (await api.client.get(CELL)).json()
         assert (cell["state"], cell["allowed_commands"], cell["run_id"]) == ("Stopped", ["reset", "abort"], None)
+        assert cell["progress"]["time_left_s"] is None
         taken = await api.client.post(COMMANDS, json={"command": "reset"})
         assert (taken.status_code, taken.json()["state"]) == (202, "Resetting")
         await api.services.controller.until(State.IDLE)
@@ -22,6 +23,7 @@ def test_the_cell_says_what_it_does_and_what_it_allows(tmp_path: Path) -> None:
         await api.services.controller.until(State.EXECUTE)
         cell = (await api.client.get(CELL)).json()
         assert cell["job_order_id"] == "JO-1"
+        assert cell["progress"]["time_left_s"] == 60.0
         assert cell["event_sequence"] == api.services.events.last
 
     run_api(tmp_path, body)
