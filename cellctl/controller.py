@@ -356,7 +356,12 @@ class Controller:
             self._enter(ON_DONE[self._state])
 
     def _new_gate(self) -> Gate:
-        return Gate(on_reached=self._reached, on_left=self._left)
+        return Gate(on_asked=self._asked, on_reached=self._reached, on_left=self._left)
+
+    def _asked(self, why: str) -> None:
+        """The run needs a person: it suspends itself, and unsuspend is the person's word."""
+        if self._state is State.EXECUTE:
+            self._enter(after(State.EXECUTE, Command.SUSPEND), why)
 
     def _alive(self) -> bool:
         return self._run_task is not None and not self._run_task.done()

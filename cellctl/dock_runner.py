@@ -171,7 +171,10 @@ class _Unwatched:
 
 
 async def _never_held(
-    retreat: Callable[[], Awaitable[None]] | None = None, resume: Callable[[], Awaitable[None]] | None = None
+    retreat: Callable[[], Awaitable[None]] | None = None,
+    resume: Callable[[], Awaitable[None]] | None = None,
+    *,
+    ask: str = "",
 ) -> None:
     """A checkpoint without anybody who could ask for a hold; other tasks get their turn."""
     await asyncio.sleep(0)

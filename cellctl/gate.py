@@ -9,10 +9,14 @@ from collections.abc import Awaitable, Callable
 class Gate:
     """`cellctl.ports.Checkpoint`. Asked and released by the controller, passed by the run.
 
-    `on_reached` is called once the holding condition is reached, `on_left` once the run is ready to go on.
+    `on_asked` is called with what the run itself asks of a person, `on_reached` once the holding condition is reached,
+    `on_left` once the run is ready to go on.
     """
 
-    def __init__(self, *, on_reached: Callable[[], None], on_left: Callable[[], None]) -> None:
+    def __init__(
+        self, *, on_asked: Callable[[str], None], on_reached: Callable[[], None], on_left: Callable[[], None]
+    ) -> None:
+        self._on_asked = on_asked
         self._on_reached = on_reached
         self._on_left = on_left
         self._open = asyncio.Event()
@@ -38,11 +42,16 @@ class Gate:
         self,
         retreat: Callable[[], Awaitable[None]] | None = None,
         resume: Callable[[], Awaitable[None]] | None = None,
+        *,
+        ask: str = "",
     ) -> None:
         """Pause here if that was asked for; see `cellctl.ports.Checkpoint`. A hold during `resume` pauses again."""
         if self._end_asked:
             self.end_reached.set()
             await asyncio.Event().wait()
+        if ask:
+            self.ask()
+            self._on_asked(ask)
         while not self._open.is_set():
             if retreat is not None:
                 await retreat()

@@ -65,13 +65,16 @@ class Checkpoint(Protocol):
     """A place where the run may be held. Returns at once unless a hold was asked for.
 
     On a hold, `retreat` brings the phase into its declared holding condition, the run waits for unhold, then
-    `resume` makes it ready to go on.
+    `resume` makes it ready to go on. With `ask` the run suspends itself here: a person does what it says and confirms
+    by unsuspend.
     """
 
     async def __call__(
         self,
         retreat: Callable[[], Awaitable[None]] | None = None,
         resume: Callable[[], Awaitable[None]] | None = None,
+        *,
+        ask: str = "",
     ) -> None: ...
 
 

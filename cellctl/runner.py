@@ -176,13 +176,16 @@ async def _run(request: RunRequest) -> Outcome:
 
 
 async def _to_the_end(controller: Controller, cell: Cell, assembly: Assembly) -> State:
-    """Reset, start, wait; the safety inputs are watched all the time, as in the service."""
+    """Reset, start, wait; the safety inputs are watched all the time, as in the service. The twin's operator has done
+    at once what the run asks for."""
     controller.request(Command.RESET)
     await controller.until(State.IDLE, State.ABORTED, State.STOPPED)
     watch = asyncio.get_running_loop().create_task(watch_safety(controller, cell.until_unsafe))
     try:
         controller.start(assembly)
-        return await controller.until(*ENDED)
+        while (state := await controller.until(State.SUSPENDED, *ENDED)) is State.SUSPENDED:
+            controller.request(Command.UNSUSPEND)
+        return state
     finally:
         watch.cancel()
         with contextlib.suppress(asyncio.CancelledError):

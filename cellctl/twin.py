@@ -38,7 +38,7 @@ def fake_cell(recipe: Recipe, config: CellConfig, jobs: Jobs, *, seed: int, faul
     """Plant, faults and cell. Clouds are rendered by `jobs`. Raises ConfigError."""
     plant = Plant(geometry_of(recipe), TwinSettings(seed, config.twin.level, config.twin.overrides))
     install_heat(plant)
-    install_joints(plant)
+    install_joints(plant, nuts_by_hand=recipe.tighten.nut_supply == "hand_started")
     book = FaultBook(faults)
 
     async def picture(scene: SceneState, picture_seed: int) -> NDArray[np.float32]:

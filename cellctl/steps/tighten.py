@@ -94,10 +94,12 @@ async def cool(run: RunContext) -> float:
 
 
 async def _require_nuts(run: RunContext) -> None:
+    needed = run.recipe.pattern.count
     if run.recipe.tighten.nut_supply == "hand_started":
+        await run.checkpoint(ask=f"start {needed} nuts by hand, two turns each, count them and confirm")
+        await run.ledger.note("nuts_confirmed", {"count": needed})
         return
     count = await run.devices.nut_feeder.count()
-    needed = run.recipe.pattern.count
     if count < needed:
         raise RunHeld("nuts_missing", f"the magazine holds {count} nuts, {needed} are needed")
 

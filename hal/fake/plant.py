@@ -101,6 +101,7 @@ class Plant:
         self.slip_deg = 0.0
         self.loaded_s = self.now
         self._last_gap_mm = self.bench.rotor_face_mm - self.motion["jack"].position(self.now)
+        self._gripped_mm = math.inf
         self.engagement = Engagement(self.geometry.count)
         self.damages = []
 
@@ -132,7 +133,8 @@ class Plant:
             return
         dock = self.dock()
         curve = self.engagement.curve(dock, low) if high > low else self.engagement.near(dock, high)
-        self._last_gap_mm = max(curve.gap_at(at), 0.0)
+        self._follow_grip(curve.gap_at(at), pulled=at < jack.position(before))
+        self._last_gap_mm = self._held(curve.gap_at(at))
         if self.engagement.record(curve, low, high, self.geometry.spigot_length_mm):
             worst = np.maximum(self.engagement.peak_n, self.engagement.lateral_peak_n)
             for stud in np.flatnonzero(worst > self.numbers.properties.damage_force_n):
@@ -141,6 +143,15 @@ class Plant:
             entered = self.geometry.entry_gap_mm - self.geometry.lead_in_mm - self.geometry.chamfer_depth_mm
             if curve.gap_at(low) > entered >= curve.gap_at(high):
                 self.engagement.enter(dock)
+
+    def _follow_grip(self, gap_mm: float, *, pulled: bool) -> None:
+        """A spigot that grips holds what was pressed in: friction resists a pull, it pushes nothing out."""
+        held_mm = math.inf if pulled else min(gap_mm, self._gripped_mm)
+        engaged = held_mm < self.geometry.spigot_length_mm - self.geometry.spigot_chamfer_mm
+        self._gripped_mm = held_mm if engaged else math.inf
+
+    def _held(self, gap_mm: float) -> float:
+        return max(min(gap_mm, self._gripped_mm), 0.0)
 
     def _reaches(self, motor_mm: float) -> bool:
         """Whether studs and shaft can touch with the jack at `motor_mm`; a millimetre early."""
@@ -232,9 +243,8 @@ class Plant:
         dock = self.dock()
         pose = dock.T_cell_shaft(dock.true_mm(np.array([dock.motors.z_mm])))[0]
         if self._reaches(dock.motors.z_mm):
-            pose[2, 3] = self.bench.rotor_face_mm - self.engagement.near(dock, dock.motors.z_mm).gap_at(
-                dock.motors.z_mm
-            )
+            free_mm = self.engagement.near(dock, dock.motors.z_mm).gap_at(dock.motors.z_mm)
+            pose[2, 3] = self.bench.rotor_face_mm - min(free_mm, self._gripped_mm)
         return np.asarray(pose)
 
     def T_cell_rotor(self) -> Array:
@@ -251,7 +261,7 @@ class Plant:
         if not self._reaches(jack):
             dock = self.dock()
             return self.bench.rotor_face_mm - float(dock.T_cell_shaft(dock.true_mm(np.array([jack])))[0, 2, 3])
-        return max(self.engagement.near(self.dock(), jack).gap_at(jack), 0.0)
+        return self._held(self.engagement.near(self.dock(), jack).gap_at(jack))
 
     def gap_at(self, x_mm: float, y_mm: float) -> float:
         """True distance of the faces along z at cell coordinates (x, y), mm; touching faces align themselves."""

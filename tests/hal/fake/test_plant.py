@@ -140,6 +140,21 @@ def test_an_open_fit_is_seated_with_little_force_and_seating_is_no_peak() -> Non
     assert plant.engagement.peak_n.max() < 10.0
 
 
+def test_a_fit_that_shrinks_onto_the_seated_shaft_pushes_nothing_out_and_lets_go_when_pulled() -> None:
+    plant = plant_of("ideal")
+    heat = Hot()
+    plant.thermal = heat
+    go(plant, "jack", 400.1)
+    assert plant.gap_mm() == pytest.approx(0.0, abs=1e-6)
+    heat.interference_mm, heat.shaft_c = 0.06, 20.0
+    plant.advance(plant.now + 600.0)
+    assert plant.gap_mm() == pytest.approx(0.0, abs=1e-6)
+    assert plant.T_cell_shaft()[2, 3] == pytest.approx(400.0, abs=1e-6)
+    heat.interference_mm = -0.04
+    go(plant, "jack", 390.0)
+    assert plant.gap_mm() == pytest.approx(10.0, abs=1e-3)
+
+
 def test_growing_holes_press_on_the_studs_while_the_jack_stands() -> None:
     plant = plant_of()
     align(plant)
