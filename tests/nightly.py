@@ -24,7 +24,7 @@ from cellctl.studies.figures import provenance
 from hal.config import Level, load_cell
 from hal.fake.fault_file import load_faults
 from tests.journeys.stops import stopped
-from tests.journeys.swarm import broken, random_faults
+from tests.journeys.swarm import broken, random_faults, wrong_truth
 from tests.journeys.twin_runs import (
     CELL,
     FAULTS,
@@ -104,6 +104,14 @@ def swarm(jobs: RememberedJobs, number: int) -> Result:
     return Result(outcome.verdict, f"{faults}: {'; '.join(wrong)}" if wrong else "")
 
 
+def truth(number: int) -> Result:
+    """A twin whose truth differs from what the controller believes, on the small joint."""
+    overrides = wrong_truth(Random(number))
+    outcome = assembled(small_recipe(), twin_cell(overrides), seed=1 + number)
+    wrong = broken(outcome)
+    return Result(outcome.verdict, f"{overrides}: {'; '.join(wrong)}" if wrong else "")
+
+
 def stops(jobs: RememberedJobs, number: int) -> Result:
     """The whole cell stopped at a random instant."""
     return Result(stopped(Random(number), jobs).rsplit(" ", 1)[-1])
@@ -117,6 +125,7 @@ def campaigns() -> dict[str, Campaign]:
         "nominal": partial(seeds, "nominal"),
         "hostile": partial(seeds, "hostile"),
         "swarm": partial(swarm, jobs),
+        "truth": truth,
         "stops": partial(stops, jobs),
     }
 

@@ -6,7 +6,8 @@ import itertools
 import json
 from pathlib import Path
 
-from tests.journeys.swarm import random_faults
+from hal.fake.levels import Imperfections, Properties, names
+from tests.journeys.swarm import WRONG, random_faults, wrong_truth
 from tests.nightly import Random, Result, night
 
 
@@ -42,3 +43,10 @@ def test_random_faults_are_repeatable_and_of_many_kinds() -> None:
     drawn = [random_faults(Random(seed), 8) for seed in range(300)]
     assert drawn == [random_faults(Random(seed), 8) for seed in range(300)]
     assert len({(fault.device, fault.kind) for faults in drawn for fault in faults}) >= 40
+
+
+def test_wrong_truths_are_numbers_of_the_twin() -> None:
+    assert set(WRONG) <= names(Properties) | names(Imperfections)
+    drawn = [wrong_truth(Random(seed)) for seed in range(200)]
+    assert {name for overrides in drawn for name in overrides} == set(WRONG)
+    assert all(WRONG[name][0] <= value <= WRONG[name][1] for overrides in drawn for name, value in overrides.items())

@@ -19,6 +19,42 @@ VALUES: dict[str, tuple[float, ...]] = {
 }
 
 
+WRONG: dict[str, tuple[float, float]] = {
+    "fit_interference_mm": (0.0, 0.11),
+    "shaft_mass_kg": (94.0, 106.0),
+    "hole_diameter_mm": (8.1, 8.3),
+    "stud_diameter_mm": (7.95, 8.15),
+    "circle_diameter_shift_mm": (-0.3, 0.3),
+    "hole_0_shift_x_mm": (-0.25, 0.25),
+    "hole_0_shift_y_mm": (-0.25, 0.25),
+    "jack_line_tilt_x_deg": (-0.04, 0.04),
+    "jack_line_tilt_y_deg": (-0.04, 0.04),
+    "table_axis_shift_x_mm": (-1.0, 1.0),
+    "table_axis_tilt_y_deg": (-0.1, 0.1),
+    "shaft_tilt_x_deg": (-0.12, 0.12),
+    "camera_rotor_shift_x_mm": (-0.12, 0.12),
+    "camera_shaft_shift_y_mm": (-0.12, 0.12),
+    "camera_shaft_rotation_deg": (-0.03, 0.03),
+    "force_gain": (0.9, 1.1),
+    "force_delay_s": (0.0, 0.02),
+    "lateral_stiffness_n_per_mm": (200.0, 10_000.0),
+    "friction_coefficient": (0.05, 0.35),
+    "brake_late_s": (0.0, 0.2),
+    "friction_per_nut": (0.0, 0.4),
+    "friction_per_pass": (0.0, 0.25),
+    "ambient_c": (5.0, 35.0),
+    "feature_position_mm": (0.0, 0.05),
+    "feature_tilt_deg": (0.0, 0.2),
+}
+"""Numbers of the twin and how far the truth is moved: up to where some gate must notice, often just short of it."""
+
+
+def wrong_truth(draw: Random) -> dict[str, float]:
+    """Up to three of the twin's numbers, away from what the controller believes."""
+    names = draw.sample(sorted(WRONG), draw.choice((1, 1, 2, 3)))
+    return {name: round(draw.uniform(*WRONG[name]), 4) for name in names}
+
+
 def random_faults(draw: Random, joints: int) -> tuple[Fault, ...]:
     """One fault, sometimes two, of any kind at any device in any phase; half of them pass again."""
     return tuple(random_fault(draw, joints) for _ in range(1 if draw.random() < 0.8 else 2))
