@@ -18,6 +18,7 @@ from cellctl.recipe_checks import check
 from cellctl.records.blobs import HashOnly
 from cellctl.records.journal import Journal
 from cellctl.records.ledger import JournalLedger
+from cellctl.scan_gates import gates_of
 from cellctl.stamps import VirtualStamps
 from cellctl.steps.align import align_shaft
 from cellctl.steps.jack_up import jack_up
@@ -157,7 +158,7 @@ def _context(request: DockRequest, twin: FakeCell, calibration: Calibration, led
         progress=_Unwatched(),
         checkpoint=_never_held,
         interlock=twin.cell.guard,
-        vision=VisionWorker(InlineJobs(), calibration, seed=request.seed),
+        vision=VisionWorker(InlineJobs(), calibration, gates=gates_of(request.recipe), seed=request.seed),
         rotor_serial=ROTOR_SERIAL,
         shaft_serial=SHAFT_SERIAL,
     )

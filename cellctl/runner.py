@@ -25,6 +25,7 @@ from cellctl.records.blobs import Keep
 from cellctl.records.store import RunStore
 from cellctl.records.summary import RunSummary
 from cellctl.safety_watch import watch_safety
+from cellctl.scan_gates import gates_of
 from cellctl.stamps import VirtualStamps
 from cellctl.states import Command, State
 from cellctl.twin import FakeCell, fake_cell
@@ -136,7 +137,7 @@ def compose(request: RunRequest) -> Composed:
     bench = Bench(
         devices=twin.cell,
         interlock=twin.cell.guard,
-        vision=VisionWorker(request.jobs, calibration, seed=request.seed),
+        vision=VisionWorker(request.jobs, calibration, gates=gates_of(request.recipe), seed=request.seed),
         config=request.config,
         calibration=calibration,
         store=store,

@@ -23,6 +23,7 @@ from cellctl.recipe_book import RecipeBook
 from cellctl.recipe_checks import check
 from cellctl.records.store import RunStore
 from cellctl.runner import RunRequest, run_once
+from cellctl.scan_gates import gates_of
 from cellctl.session import Outcome, RunEnd, SafeReport, Session, Verdict
 from cellctl.stamps import Stamps
 from cellctl.time_left import time_left_s
@@ -82,7 +83,6 @@ class CellWorkplace:
         self._stamps = stamps
         self._jobs = jobs
         self._twin_jobs = twin_jobs
-        self._vision = VisionWorker(jobs, calibration)
         self._geometry, self._bench = self._built(first)
         self._identities: dict[str, Identity] = {}
         self._expected: dict[str, tuple[tuple[str, float], ...]] = {}
@@ -135,7 +135,7 @@ class CellWorkplace:
             Bench(
                 devices=self._bench.cell,
                 interlock=self._bench.cell.guard,
-                vision=self._vision,
+                vision=VisionWorker(self._jobs, self._calibration, gates=gates_of(recipe)),
                 config=self._config,
                 calibration=self._calibration,
                 store=self._store,

@@ -14,9 +14,10 @@ from cellctl.calibration import Calibration, load_calibration
 from cellctl.cli.measure_alignment import alignment_document
 from cellctl.cli.measure_view import write_view
 from cellctl.recipe import Recipe, load_recipe
+from cellctl.scan_gates import gates_of
 from cellctl.vision.cloud import Unreadable, load_cloud
 from cellctl.vision.geometry import Array
-from cellctl.vision.measure import Gates, measure_part
+from cellctl.vision.measure import measure_part
 from cellctl.vision.part import FeatureFit, PartMeasurement, Refused
 from hal.errors import ConfigError
 
@@ -72,7 +73,7 @@ def _measure(args: argparse.Namespace, recipe: Recipe, calibration: Calibration 
             part = recipe.part(side)
             cloud = load_cloud(path)
             pose = _pose(calibration, side)
-            result[side] = measure_part(cloud.points, part, pose, gates=_gates(recipe), seed=args.seed)
+            result[side] = measure_part(cloud.points, part, pose, gates=gates_of(recipe), seed=args.seed)
     return result
 
 
@@ -83,20 +84,6 @@ def _pose(calibration: Calibration | None, side: Side) -> Array | None:
     if side not in calibration.views:
         raise ConfigError("the calibration has no such view", place=f"views.{side}")
     return calibration.views[side].matrix
-
-
-def _gates(recipe: Recipe) -> Gates:
-    """The recipe's gates where it gives `[scan]`, else those below which nothing can be measured."""
-    if "scan" not in recipe.model_fields_set:
-        return Gates()
-    scan = recipe.scan
-    return Gates(
-        distance_low_mm=scan.distance_low_mm,
-        distance_high_mm=scan.distance_high_mm,
-        min_coverage=scan.min_coverage,
-        min_points_per_feature=scan.min_points_per_feature,
-        outlier_removal=scan.outlier_removal,
-    )
 
 
 def as_document(measured: dict[Side, PartMeasurement]) -> dict[str, Any]:
