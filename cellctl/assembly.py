@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 
@@ -50,20 +50,18 @@ class Bench:
 
 
 class Assembly:
-    """`cellctl.session.Session`. `dry_run` is awaited before anything moves; it raises RunHeld to refuse."""
+    """`cellctl.session.Session`."""
 
     def __init__(
         self,
         order: Order,
         bench: Bench,
         *,
-        dry_run: Callable[[], Awaitable[None]] | None = None,
         on_phase: Callable[[str], None] | None = None,
         replace_stored: bool = False,
     ) -> None:
         self._order = order
         self._bench = bench
-        self._dry_run = dry_run
         self._on_phase = on_phase
         self._replace_stored = replace_stored
         self._open: OpenRun | None = None
@@ -80,14 +78,12 @@ class Assembly:
         return self._order.job_order_id
 
     async def prepare(self) -> None:
-        """Recipe against physics, cell and calibration; run opened; dry run. Raises RunHeld, ConfigError."""
+        """Recipe against physics, cell and calibration; run opened. Raises RunHeld, ConfigError."""
         bench, order = self._bench, self._order
         self._open = await bench.store.begin(
             header_of(order, bench), bench.stamps, keep=order.keep, replace=self._replace_stored
         )
         refuse_unfit(order, bench)
-        if self._dry_run is not None:
-            await self._dry_run()
 
     async def execute(self, checkpoint: Checkpoint, progress: Progress) -> Outcome:
         """The phases. What the run finds out is in `result` when this returns."""
@@ -171,5 +167,4 @@ def guard_plan(recipe: Recipe, config: CellConfig) -> GuardPlan:
         insert_trip_n=trip_force_n(recipe, config.guard, config.cell.moving_mass_kg),
         stale_ms=config.guard.stale_ms,
         contact_block=config.guard.contact_block,
-        idle_block=config.guard.idle_block,
     )

@@ -169,7 +169,6 @@ class GuardPlan:
     insert_trip_n: float
     stale_ms: float
     contact_block: int
-    idle_block: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,7 @@ from hal.jobs import ProcessJobs
 JOB_DEADLINE_S = 60.0
 DRY_RUN_DEADLINE_S = 300.0
 """Seconds of the wall."""
-DRY_RUN_POINTS = 150_000
+DRY_RUN_POINTS = 300_000
 RENDERING = ("hal.fake.scene.render",)
 
 
