@@ -16,7 +16,7 @@ from cellctl.vision.cloud import as_cloud
 from cellctl.vision.face import Face, find_face
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
 from cellctl.vision.holes import Hole, Sight, measure_holes
-from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused
+from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused, pivot
 from cellctl.vision.pattern import PatternFit, fit_pattern, symmetry
 from cellctl.vision.plane import fit_face
 from cellctl.vision.quality import coverage, nearness
@@ -127,6 +127,7 @@ def _feature(index: int, hole: Hole, frame: PlaneFrame, face: FaceFit) -> Featur
         radius_mm=hole.radius_mm,
         covariance_mm2=frame.axes.T @ covariance @ frame.axes,
         axis_sigma_deg=float(np.degrees(np.sqrt(np.trace(hole.covariance[2:, 2:]) / 2.0))),
+        pivot_mm=pivot(hole.covariance),
         points=hole.points,
         residual_mm=hole.residual_mm,
     )
@@ -229,6 +230,6 @@ def _carry_feature(feature: FeatureFit, T: Array) -> FeatureFit:
     return FeatureFit(
         index=feature.index, found=True, center_mm=transform(T, feature.center_mm), axis=rotation @ feature.axis,
         radius_mm=feature.radius_mm, covariance_mm2=rotation @ feature.covariance_mm2 @ rotation.T,
-        axis_sigma_deg=feature.axis_sigma_deg, thread=feature.thread, points=feature.points,
+        axis_sigma_deg=feature.axis_sigma_deg, pivot_mm=feature.pivot_mm, thread=feature.thread, points=feature.points,
         residual_mm=feature.residual_mm, reason=feature.reason,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from cellctl.vision.geometry import Array, PlaneFrame, Points
 from cellctl.vision.grid import find_islands, rasterise, spacing
-from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit
+from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit, pivot
 from cellctl.vision.pattern import find_pattern, nominal
 from cellctl.vision.thread_solve import Priors, Solution, best_phase, solve
 from cellctl.vision.thread_surface import OWN, TIP, Form, Rays
@@ -211,6 +211,7 @@ def _found(
         radius_mm=float(solution.shared[0]),
         covariance_mm2=frame.axes[:2].T @ covariance[:2, :2] @ frame.axes[:2],
         axis_sigma_deg=float(np.degrees(np.sqrt(np.trace(covariance[2:4, 2:4]) / 2.0))),
+        pivot_mm=pivot(covariance[:4, :4]),
         thread=_thread(solution, form, ballot, own),
         points=points,
         residual_mm=residual_mm,
