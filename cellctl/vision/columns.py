@@ -46,8 +46,8 @@ class Columns:
     def __len__(self) -> int:
         return len(self.x)
 
-    def take(self, rows: NDArray[Any]) -> Columns:
-        """Some of the points, by index or mask (N,)."""
+    def take(self, rows: NDArray[Any] | slice) -> Columns:
+        """Some of the points, by index, mask (N,) or slice."""
         pixels = None if self.pixels is None else self.pixels[rows]
         return Columns(self.x[rows], self.y[rows], self.z[rows], pixels, self.shape)
 
@@ -73,7 +73,7 @@ class Columns:
         height += self.y * n[1]
         height += self.z * n[2]
         height -= np.float32(distance_mm)
-        return height
+        return np.asarray(height)
 
     def stacked(self) -> Array:
         """(N, 3), float64."""

@@ -54,9 +54,9 @@ def find_face(points: Columns, part: Part, eye: Array, reference: Array, rng: np
         densities.insert(0, _thinned(points, rng))
     best: Face | None = None
     refusal: Refused | None = None
-    plane: Plane | None = None
-    for plane in find_planes(some.stacked(), rng):
-        if best is None and plane.sigma_mm > MAX_NOISE_MM:
+    seen = 0
+    for seen, plane in enumerate(find_planes(some.stacked(), rng), start=1):
+        if seen == 1 and plane.sigma_mm > MAX_NOISE_MM:
             raise Refused("too_noisy", f"the largest plane scatters by {plane.sigma_mm:.2f} mm")
         try:
             face = _try_plane(densities, plane, part, eye, reference)
@@ -68,7 +68,7 @@ def find_face(points: Columns, part: Part, eye: Array, reference: Array, rng: np
             best = face
         if best is not None and best.pattern.matched == part.count and best.pattern.score > 0.8 * part.count:
             break
-    if plane is None:
+    if seen == 0:
         raise Refused("face_not_found", "no plane was found in the cloud")
     if best is None:
         raise refusal or Refused("features_missing", "no plane in view carries the nominal pattern")
@@ -89,7 +89,7 @@ def _thinned(points: Columns, rng: np.random.Generator) -> _Thinned:
 
 
 def _try_plane(densities: list[_Thinned], plane: Plane, part: Part, eye: Array, reference: Array) -> Face | None:
-    """The plane with the pattern on it, None where no pattern shows. Thinned points serve where they are fine enough."""
+    """The plane with the pattern on it, None where none shows. Thinned points serve where they are fine enough."""
     toward = plane.normal if plane.residuals(eye) > 0.0 else -plane.normal
     frame = PlaneFrame.on(plane.normal * plane.distance_mm, toward)
     for thinned in densities:

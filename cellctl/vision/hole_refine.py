@@ -13,23 +13,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cellctl.vision.geometry import Array
-from cellctl.vision.hole_model import (
-    CHAMFER,
-    CONE,
-    CU,
-    CV,
-    CYLINDER,
-    FACE,
-    LEAST_COSINE,
-    SIZE,
-    TILT_U,
-    WALL,
-    HoleFits,
-    Samples,
-    facing,
-    label,
-    residuals,
-)
+from cellctl.vision.hole_fit import LEAST_COSINE, HoleFits
+from cellctl.vision.hole_model import CHAMFER, CU, CV, FACE, SIZE, TILT_U, WALL, Samples, facing, label, residuals
 from cellctl.vision.plane import TUKEY, robust_sigma
 from cellctl.vision.shared_noise import SharedNoise, correlated, field_basis
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision import hole_model
+from cellctl.vision import hole_fit, hole_model
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array
 from cellctl.vision.hole_refine import refine
@@ -127,9 +127,7 @@ def _by_rim(around: _Around, part: Part, radii_mm: Array, sight: Sight) -> list[
     """Every chamfered hole as its rim shows it: found with a place to start from, or missing with the reason."""
     centres = nominal(part)
     on = np.flatnonzero(np.abs(around.points[:, 2]) < 4.0 * sight.sigma_mm)
-    rims = look(
-        around.points[on, :2] - centres[around.owner[on]], around.owner[on], radii_mm, sight.spacing_mm
-    )
+    rims = look(around.points[on, :2] - centres[around.owner[on]], around.owner[on], radii_mm, sight.spacing_mm)
     holes = []
     for k in range(part.count):
         seen = None
@@ -213,7 +211,7 @@ def _from_outline(outline: Outline, radius_mm: float, part: Part, index: int) ->
     mouth = radius_mm - 0.5 * part.diameter_mm[index] if part.chamfer_diameter_mm and part.diameter_mm else 0.0
     covariance = np.zeros((4, 4))
     covariance[:2, :2] = outline.covariance
-    covariance[2:, 2:] = np.eye(2) * hole_model.TILT_PRIOR_RAD**2
+    covariance[2:, 2:] = np.eye(2) * hole_fit.TILT_PRIOR_RAD**2
     return Hole(True, outline.centre_mm, np.zeros(2), outline.radius_mm - mouth, covariance, outline.points,
                 outline.scatter_mm, "outline")  # fmt: skip
 
@@ -238,13 +236,13 @@ def _by_model(around: _Around, chosen: list[int], outlines: list[Hole], part: Pa
         wall = outlines[k].radius_mm if part.diameter_mm is None else 0.5 * part.diameter_mm[k]
         chamfer = max(wall, 0.5 * part.chamfer_diameter_mm) if part.chamfer_diameter_mm else wall
         start[row, hole_model.WALL], start[row, hole_model.CHAMFER] = wall, chamfer
-    fits = hole_model.fit(samples, start, sight.sigma_mm)
+    fits = hole_fit.fit(samples, start, sight.sigma_mm)
     if sight.noise is not None and around.pixels is not None and sight.eye is not None:
         fits = refine(samples, fits, sight.noise, around.pixels[rows], sight.spacing_mm)
     return {k: hole for row, k in enumerate(chosen) if (hole := _from_model(fits, row, origins[row])) is not None}
 
 
-def _from_model(fits: hole_model.HoleFits, row: int, origin: Array) -> Hole | None:
+def _from_model(fits: hole_fit.HoleFits, row: int, origin: Array) -> Hole | None:
     """The hole of one row, None where too few points of chamfer and wall carry it."""
     inner = int(fits.counts[row, hole_model.CONE] + fits.counts[row, hole_model.CYLINDER])
     if inner < MIN_INNER_POINTS:

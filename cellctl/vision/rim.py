@@ -38,7 +38,7 @@ def look(uv: Array, owner: NDArray[np.intp], radii_mm: Array, spacing_mm: float)
     sectors = int(np.clip(2.0 * np.pi * float(np.median(radii_mm)) / (1.1 * spacing_mm), 12, 180))
     centre, radius = np.zeros((count, 2)), radii_mm.astype(np.float64)
     scatter, kept = np.full(count, np.nan), np.zeros((count, sectors), dtype=np.bool_)
-    for _ in range(3):
+    for _ in range(2):
         edge, direction = _edges(uv, owner, centre, radius, sectors)
         shift, radius, scatter, kept = _circles(edge, direction, radius, spacing_mm)
         centre = centre + shift
@@ -56,9 +56,7 @@ def look(uv: Array, owner: NDArray[np.intp], radii_mm: Array, spacing_mm: float)
     )
 
 
-def _edges(
-    uv: Array, owner: NDArray[np.intp], centre: Array, radius: Array, sectors: int
-) -> tuple[Array, Array]:
+def _edges(uv: Array, owner: NDArray[np.intp], centre: Array, radius: Array, sectors: int) -> tuple[Array, Array]:
     """Distance (K, S) of the innermost face point of every sector, infinite where there is none, and the direction
     (2, K, S) to it."""
     u, v = (uv - centre[owner]).T
@@ -66,13 +64,12 @@ def _edges(
     near = (rho > 0.6 * radius[owner]) & (rho < 1.45 * radius[owner])
     sector = ((np.arctan2(v[near], u[near]) / (2.0 * np.pi) + 0.5) * sectors).astype(np.intp) % sectors
     place = owner[near] * sectors + sector
-    order = np.lexsort((rho[near], place))
-    _, first = np.unique(place[order], return_index=True)
-    rows = np.flatnonzero(near)[order[first]]
     edge = np.full(len(radius) * sectors, np.inf)
+    np.minimum.at(edge, place, rho[near])
+    innermost = rho[near] == edge[place]
+    rows = np.flatnonzero(near)[innermost]
     direction = np.zeros((2, len(edge)))
-    edge[place[order[first]]] = rho[rows]
-    direction[:, place[order[first]]] = np.stack([u[rows], v[rows]]) / rho[rows]
+    direction[:, place[innermost]] = np.stack([u[rows], v[rows]]) / rho[rows]
     return edge.reshape(-1, sectors), direction.reshape(2, -1, sectors)
 
 
@@ -96,7 +93,12 @@ def _circles(
         pull = np.einsum("pks,ks->kp", design, weights * np.nan_to_num(miss))
         answer = answer + np.linalg.solve(normal, pull[:, :, None])[:, :, 0]
     limit = 0.5 * radius[:, None]
-    return np.clip(answer[:, :2], -limit, limit), np.clip(answer[:, 2], 0.5 * radius, 2.0 * radius), scatter, weights > 0
+    return (
+        np.clip(answer[:, :2], -limit, limit),
+        np.clip(answer[:, 2], 0.5 * radius, 2.0 * radius),
+        scatter,
+        weights > 0,
+    )
 
 
 def _median(values: Array) -> Array:
@@ -104,4 +106,6 @@ def _median(values: Array) -> Array:
     ordered = np.sort(values, axis=1)  # NaN come last
     counts = np.isfinite(values).sum(axis=1)
     rows = np.arange(len(values))
-    return np.asarray(0.5 * (ordered[rows, np.maximum(counts - 1, 0) // 2] + ordered[rows, counts // 2 % values.shape[1]]))
+    return np.asarray(
+        0.5 * (ordered[rows, np.maximum(counts - 1, 0) // 2] + ordered[rows, counts // 2 % values.shape[1]])
+    )

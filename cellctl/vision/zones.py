@@ -19,7 +19,7 @@ FACE = np.int16(0x4000)
 """Flag of the face's own area, clear of features and rims."""
 FEATURE = np.int16(0x3FFF)
 """Mask of the feature's number plus one; 0 where none is near."""
-MOST_CELLS = 512
+MOST_CELLS = 400
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Zones:
 
     @classmethod
     def of(cls, part: Part, radii_mm: Array, reach_mm: Array, spacing_mm: float) -> Zones:
-        """From the nominal geometry; `radii_mm` (k,) of the features' voids, `reach_mm` (k,) of their neighbourhoods."""
+        """From the nominal geometry, the radii (k,) of the features' voids and of their neighbourhoods, mm."""
         inner, outer = rims(part, radii_mm)
         low = inner if part.face_inner_diameter_mm else 0.5 * inner
         high = outer if part.face_outer_diameter_mm else 1.5 * outer

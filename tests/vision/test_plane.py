@@ -84,7 +84,10 @@ def test_correlated_noise_widens_the_covariance() -> None:
     start = Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0)
     white = np.column_stack([u.ravel(), v.ravel(), rng.normal(0.0, 0.03, u.size)])
     shared = np.column_stack([u.ravel(), v.ravel(), spread.ravel()])
-    ratio = fit_face(Columns.of(shared), start, EYE).covariance[0, 0] / fit_face(Columns.of(white), start, EYE).covariance[0, 0]
+    ratio = (
+        fit_face(Columns.of(shared), start, EYE).covariance[0, 0]
+        / fit_face(Columns.of(white), start, EYE).covariance[0, 0]
+    )
     assert 7.0 < ratio < 11.5  # nine pixels share one value
 
 
