@@ -177,7 +177,8 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
     """Weighted rigid least squares of the nominal pattern on centres (n, 2), NaN where missing.
 
     `covariances` (n, 2, 2) are type A. The pose's covariance is scaled by the scatter of the residuals where that is
-    larger than they explain: true holes are not where the drawing says. Raises Refused features_missing below three.
+    larger than they explain: true holes are not where the drawing says. A scatter that is learnt from few residuals
+    makes Student's t of the error, whose variance is larger. Raises Refused features_missing below three.
     """
     found = np.isfinite(centres).all(axis=1)
     if np.count_nonzero(found) < 3:
@@ -186,7 +187,7 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
     # true positions scatter by microns beyond noise: a common floor keeps one good fit from ruling the pattern
     variance = np.trace(covariances[found], axis1=1, axis2=2) / 2.0
     pose = np.array([*(measured - model).mean(axis=0), clocking_rad])
-    extra = 0.0
+    extra, degrees = 0.0, 2 * len(model) - 3
     for _ in range(20):
         weights = 1.0 / (variance + extra)
         c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -199,9 +200,10 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
         step = np.linalg.solve(matrix, np.einsum("nij,n,ni->j", design, weights, residual))
         pose = pose + step
         # variance of true positions by moments (DerSimonian-Laird), so that chi-square meets its expectation
-        degrees = max(2 * len(model) - 3, 1)
         excess = float(((residual**2).sum(axis=1) / variance).sum()) - degrees
-        extra = max(0.0, excess / (2.0 * float((1.0 / variance).sum())))
+        extra = max(0.0, excess / (degrees * float((1.0 / variance).mean())))
+    learnt = extra / (extra + float(np.mean(variance)))
+    wider = 1.0 + learnt * 2.0 / (degrees - 2)  # t with f degrees of freedom: variance f / (f - 2)
     outward = turned / np.hypot(*turned.T)[:, None]
     radial = float(np.average((residual * outward).sum(axis=1), weights=weights))
     everything = np.full((part.count, 2), np.nan)
@@ -209,7 +211,7 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
     return PatternFit(
         centre_mm=pose[:2],
         clocking_rad=float(wrap_rad(pose[2:])[0]),
-        covariance=np.linalg.inv(matrix),
+        covariance=wider * np.linalg.inv(matrix),
         diameter_mm=part.circle_diameter_mm + 2.0 * radial,
         residuals_mm=everything,
     )
