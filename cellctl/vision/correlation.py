@@ -103,8 +103,8 @@ class Whitener:
         return cls(np.where(there, found, 0), shares, np.sqrt(np.maximum(1.0 - told, 1e-6)))
 
     def apply(self, rows: Array) -> Array:
-        """Independent rows (N, k) of unit variance from correlated ones."""
+        """Independent rows (k, N) of unit variance from correlated ones."""
         told = np.zeros_like(rows)
         for column in range(self.neighbours.shape[1]):
-            told += self.shares[:, column, None] * rows[self.neighbours[:, column]]
-        return np.asarray((rows - told) / self.spread[:, None])
+            told += self.shares[:, column] * rows[:, self.neighbours[:, column]]
+        return np.asarray((rows - told) / self.spread)

@@ -8,11 +8,12 @@ import numpy as np
 
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame
-from cellctl.vision.grid import Void, find_islands, find_voids, rasterise, spacing
+from cellctl.vision.grid import Void, find_voids, rasterise, spacing
 from cellctl.vision.holes import void_radii
 from cellctl.vision.part import Part, Refused
 from cellctl.vision.pattern import PatternPose, find_pattern, nominal, symmetry
 from cellctl.vision.plane import Plane, find_planes
+from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, tip_levels
 
 RANSAC_POINTS = 12_000
 MAX_NOISE_MM = 0.5
@@ -143,15 +144,18 @@ def _holes(uv: Array, part: Part, space: float, cells: float) -> list[Void]:
 
 
 def _studs(local: Columns, part: Part, space: float) -> list[Void]:
-    """Groups of points as high above the plane as the outer half of a stud."""
-    length = part.length_mm or 0.1 * part.circle_diameter_mm
-    above = (local.z > 0.6 * length) & (local.z < 1.03 * length)
-    if np.count_nonzero(above) < 3 * part.count:
-        return []
+    """Ends of studs: discs of points at one height above the plane."""
+    above = np.flatnonzero(local.z > LEAST_HEIGHT_MM)
+    height = local.z[above].astype(np.float64)
     uv = np.stack([local.x[above], local.y[above]], axis=1, dtype=np.float64)
-    size = part.thread.major_diameter_mm if part.thread else (part.diameter_mm or (0.03 * part.circle_diameter_mm,))[0]
-    raster = rasterise(uv, max(space, 0.1 * size), margin_mm=size)
-    return [void for void in find_islands(raster, least=6) if void.radius_mm < 1.5 * size]
+    most: list[Void] = []
+    for level in tip_levels(height, part):
+        tips = find_tips(uv, height, part, space, level)
+        if len(tips) > len(most):
+            most = tips
+        if 2 * len(most) > part.count:
+            break
+    return most
 
 
 def _nearest_to(pattern: PatternPose, frame: PlaneFrame, part: Part, reference: Array) -> PatternPose:

@@ -114,7 +114,7 @@ def _features(
 ) -> tuple[FeatureFit, ...]:  # fmt: skip
     """Every feature of the part, in the cloud's frame."""
     if part.feature == "stud":
-        return measure_studs(grid, face, part, pose(frame.axes.T, frame.origin), viewpoint=pinhole)
+        return measure_studs(scan, face, part, pose(frame.axes.T, frame.origin), viewpoint=pinhole)
     sight = Sight(found.spacing_mm, face.sigma_mm)
     if pinhole is not None:
         noise = shared_noise(scan, places.on_face, face)

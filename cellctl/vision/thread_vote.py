@@ -14,11 +14,13 @@ Array = NDArray[np.float64]
 
 CELL_MM = 0.02
 """Cell of the height axis in the vote: a twentieth of the finest pitch voted for."""
+LEAST_SCORE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class ThreadVote:
-    """Winner of the vote. `score` is its share of all the power (0 to 1), `rival` the other hand's best over it.
+    """Winner of the vote. `score` is its share of all the power (0 to 1) beyond what chance gives, `rival` the other
+    hand's best over it.
 
     `phase_mm` (n,) is where the points of each stud crowd at angle 0, as a height within one pitch: the crest, or
     beside it where only one flank is seen.
@@ -77,15 +79,20 @@ def vote(
         pitch_mm=pitch,
         hand="right" if turns > 0 else "left",
         starts=abs(turns),
-        score=power / (2.0 * len(stud)),
+        score=_beyond_chance(power / (2.0 * len(stud)), count / len(stud)),
         rival=rivals / power,
         phase_mm=np.angle(sums) / (2.0 * np.pi) * pitch,
     )
 
 
+def shows(ballot: ThreadVote) -> bool:
+    """Whether there is a thread at all."""
+    return ballot.score > LEAST_SCORE
+
+
 def check_vote(ballot: ThreadVote, expected: Thread, where: str = "") -> None:
     """Refuse (thread_wrong) another thread than the expected one, or none at all."""
-    if ballot.score < 0.05:
+    if not shows(ballot):
         raise Refused("thread_wrong", f"{where}no thread shows (vote {ballot.score:.3f})")
     same = ballot.hand == expected.hand and ballot.starts == expected.starts
     if not same or abs(ballot.pitch_mm - expected.pitch_mm) > 0.03 * expected.pitch_mm:
@@ -107,6 +114,11 @@ def _fundamental(powers: dict[int, Array], turns: int, band: NDArray[np.intp]) -
         if len(window) and window.max() > 0.15 * powers[turns][at]:
             return turns // part, low + int(window.argmax())
     return turns, at
+
+
+def _beyond_chance(share: float, chance: float) -> float:
+    """Share of the power that points without any order, `chance` of it each, would not have."""
+    return max(0.0, share - chance) / max(1.0 - chance, 1e-9)
 
 
 def _presence(stud: NDArray[np.intp], count: int) -> Array:

@@ -24,14 +24,18 @@ class Bolt:
     length: float = 32.0
     phase: float = 0.3
     depth: float = 0.613
+    lead_in: float = 0.0
+    crest: float = 0.125
 
     def height(self, p: Array) -> Array:
         """Positive outside, along the radius."""
         x, y, s = p.T
         turns = (s - self.phase) / self.pitch - self.hand * self.starts * np.arctan2(y, x) / (2 * np.pi)
         off = np.abs(turns - np.round(turns)) * self.pitch
-        thread = self.radius - np.clip((off - self.pitch / 16) * np.sqrt(3), 0, self.depth * self.pitch)
-        return np.hypot(x, y) - np.minimum(thread, self.radius - self.depth * self.pitch + self.length - s)
+        thread = self.radius - np.clip((off - 0.5 * self.crest * self.pitch) * np.sqrt(3), 0, self.depth * self.pitch)
+        return np.hypot(x, y) - np.minimum(
+            thread, self.radius - self.depth * self.pitch + self.length - s + self.lead_in
+        )
 
 
 def hit(bolt: Bolt, eye: Array, rays: Array, step: float = 0.04) -> Array:
