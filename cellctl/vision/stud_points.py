@@ -17,9 +17,10 @@ from cellctl.vision.thread_surface import Indices, Rays
 
 LEAST_HEIGHT_MM = 0.6
 """Points nearer to the face may be the face's own."""
-RIM_SHARE = 0.25
+RIM_SHARE, BESIDE = 0.35, 0.2
 """The flat end is left out but for this share of the radius at its rim, where the lead-in may be."""
 CREST_QUANTILE = 0.9
+LEAST_IN_CORE = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +71,12 @@ def gather(local: Array, pixels: Indices | None, centres: Array, part: Part, eye
     radius = radius_of(part)
     gap = np.hypot(*(centres[:, None] - centres[None]).transpose(2, 0, 1))
     room = 0.5 * float(gap[gap > 1e-6].min())
-    reach = min(1.15 * radius + 1.0, room) if radius is not None else 0.9 * room
+    reach = min((1.0 + BESIDE) * radius + 1.0, room) if radius is not None else 0.9 * room
     around = _around(local, centres, reach)
-    tips, middles = _ends(around, centres, part, 0.5 * (radius or 0.1 * reach))
+    tips, middles = _ends(around, centres, part, 0.5 * (radius or 0.1 * reach), reach)
     if radius is None:
         radius = _radius(around, tips, middles - centres)
-        tips, middles = _ends(around, centres, part, 0.5 * radius)
+        tips, middles = _ends(around, centres, part, 0.5 * radius, 1.5 * radius)
     extra = np.zeros(len(centres))
     if part.diameter_mm is not None and part.thread is None:
         extra = 0.5 * np.asarray(part.diameter_mm) - radius
@@ -83,7 +84,7 @@ def gather(local: Array, pixels: Indices | None, centres: Array, part: Part, eye
     from_axis = np.hypot(*(around.offset - (middles - centres).T[:, around.stud]))
     size_here = size[around.stud]
     side = (around.height < tips[around.stud] + 0.3) & (from_axis > (1.0 - RIM_SHARE) * size_here)
-    side = np.flatnonzero(side & (from_axis < 1.1 * size_here + 0.2))
+    side = np.flatnonzero(side & (from_axis < (1.0 + BESIDE) * size_here + 0.2))
     rows, stud = around.rows[side], around.stud[side]
     points = local[:, rows]
     rays = points - eye[:, None]
@@ -121,24 +122,37 @@ def _around(local: Array, centres: Array, reach: float) -> _Around:
     return _Around(rows, stud, starts, offset[:, close], local[2, rows])
 
 
-def _ends(around: _Around, centres: Array, part: Part, core_mm: float) -> tuple[Array, Array]:
-    """Height (n,) of each stud's flat end and its middle (n, 2); those of the others where none shows."""
+def _ends(around: _Around, centres: Array, part: Part, core_mm: float, most_mm: float) -> tuple[Array, Array]:
+    """Height (n,) of each stud's flat end and its middle (n, 2); those of the others where none shows.
+
+    The height is that of the points within `core_mm` of the expected axis, the middle that of all within `most_mm`.
+    """
     tips, middles = np.full(len(centres), np.nan), centres.copy()
     for index in range(len(centres)):
         offset, height = around.of(index)
-        core = height[np.hypot(*offset) < core_mm]
+        distance = np.hypot(*offset)
+        core = height[distance < core_mm]
+        if len(core) < LEAST_IN_CORE < len(height):
+            core = height[np.argpartition(distance, LEAST_IN_CORE)[:LEAST_IN_CORE]]
         if part.length_mm is not None:
             core = core[core > 0.6 * part.length_mm]
         if len(core) < 3:
             continue
         level = float(np.median(core))
-        on = np.abs(height - level) < HALF_LEVEL_MM
+        on = (np.abs(height - level) < HALF_LEVEL_MM) & (distance < most_mm)
         if np.count_nonzero(on) >= 3:
             tips[index] = level
-            middles[index] += offset[:, on].mean(axis=1)
+            middles[index] += _middle(offset[:, on])
     shown = np.isfinite(tips)
     usual = float(np.median(tips[shown])) if shown.any() else (part.length_mm or 0.0)
     return np.where(shown, tips, usual), middles
+
+
+def _middle(offset: Array) -> Array:
+    """Mean (2,) of points (2, n) that fill a disc, strays apart."""
+    rough = np.median(offset, axis=1)
+    distance = np.hypot(*(offset - rough[:, None]))
+    return np.asarray(offset[:, distance <= 2.0 * np.median(distance)].mean(axis=1))
 
 
 def _radius(around: _Around, tips: Array, shift: Array) -> float:

@@ -18,6 +18,7 @@ LEAST_HEIGHT_MM = 1.5
 HALF_LEVEL_MM = 0.4
 MOST_LEVELS = 4
 LEAST_POINTS = 12
+GROUND_POINTS = 40_000
 LEAST_SHARE = 0.15
 """A level with a smaller share of the fullest one's points is not looked at."""
 
@@ -31,7 +32,7 @@ def radius_of(part: Part) -> float | None:
 
 def tip_levels(height_mm: NDArray[np.floating], part: Part) -> list[float]:
     """Heights above the face at which many of the points (N,) lie, fullest first; near the length where it is given."""
-    low, high = LEAST_HEIGHT_MM, 0.5 * part.circle_diameter_mm
+    low, high = LEAST_HEIGHT_MM, 2.0 * part.circle_diameter_mm
     if part.length_mm is not None:
         low, high = max(low, 0.8 * part.length_mm - 2.0), 1.2 * part.length_mm + 2.0
     cells = ((height_mm[(height_mm > low) & (height_mm < high)] - low) * (1.0 / BIN_MM)).astype(np.intp)
@@ -63,3 +64,28 @@ def find_tips(uv_mm: Array, height_mm: Array, part: Part, spacing_mm: float, lev
         return []
     usual = float(np.median([island.radius_mm for island in islands[: part.count]]))
     return [island for island in islands if 0.5 * usual < island.radius_mm < 2.0 * usual]
+
+
+def stand_on(tips: list[Void], on_plane: Array, above: Array) -> bool:
+    """Whether the ground about the ends of studs is the plane of these points (N, 2) rather than something above it.
+
+    Above a plane far behind the part the same ends show, higher up.
+    """
+    radius = float(np.median([tip.radius_mm for tip in tips]))
+    middles = np.array([tip.position_mm for tip in tips])
+    low = middles.min(axis=0) - 4.0 * radius
+    cell = 0.4 * radius
+    shape = np.ceil((middles.max(axis=0) + 4.0 * radius - low) / cell).astype(np.intp) + 1
+    ground = np.zeros(shape, dtype=np.bool_)
+    turns = 2.0 * np.pi * np.arange(32) / 32.0
+    for reach in (1.6, 2.0, 2.4):
+        ring = middles[:, None] + reach * radius * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        u, v = np.floor((ring.reshape(-1, 2) - low) / cell).astype(np.intp).T
+        ground[u, v] = True
+    step = max(1, (len(on_plane) + len(above)) // GROUND_POINTS)
+    counts = []
+    for points in (on_plane[::step], above[::step]):
+        u, v = np.floor((points - low) / cell).astype(np.intp).T
+        inside = (u >= 0) & (v >= 0) & (u < shape[0]) & (v < shape[1])
+        counts.append(int(np.count_nonzero(ground[u[inside], v[inside]])))
+    return counts[0] > counts[1]

@@ -54,7 +54,7 @@ def measure_studs(
     eye = frame.into(np.zeros(3) if viewpoint is None else viewpoint)
     scan = points if isinstance(points, Columns) else Columns.of(points)
     height = scan.above(face.normal, float(face.point_mm @ face.normal))
-    most = 1.3 * part.length_mm + 3.0 if part.length_mm is not None else 0.5 * part.circle_diameter_mm
+    most = 1.3 * part.length_mm + 3.0 if part.length_mm is not None else 2.0 * part.circle_diameter_mm
     above = scan.take(np.flatnonzero((height > max(LEAST_HEIGHT_MM, 8.0 * face.sigma_mm)) & (height < most)))
     local = _into(above, frame)
     centres = _pattern(local, part, frame, T_scanner_part)

@@ -14,9 +14,11 @@ UNEVEN = 0.03
 """What a surface departs from its form, as a share of the noise: it bounds what a ray that grazes can tell."""
 MIN_SIGMA_MM = 1e-5
 CLASSES = 12
-SURE_GROWTH = 0.6
-"""From here on growth counts as 1: the points that graze decide most of a fit, which makes their residuals look small,
-and too little weight on them costs less than too much."""
+SURE_GROWTH, NO_GROWTH = 0.5, 0.2
+"""From the first on growth counts as 1: the points that graze decide most of a fit, which makes their residuals look
+small, and too little weight on them costs less than too much. Below the second it counts as 0."""
+CLEAR_COSINE = 0.26
+"""Nearer to grazing, a flank's edge may be taken for a crest, and fits by chance."""
 LEAST_IN_CLASS = 20
 
 
@@ -73,7 +75,7 @@ def learn(met: Depths, law: NoiseLaw, pitch_mm: float) -> NoiseLaw:
     The lead-in counts for less where it is not the cone that it is taken for.
     """
     weights, _ = tukey(met, law, pitch_mm)
-    rows = np.flatnonzero((weights > 0.0) & (met.surface != LEAD_IN))
+    rows = np.flatnonzero((weights > 0.0) & (met.cosine > CLEAR_COSINE))
     growth = law.growth
     if len(rows) >= 4 * LEAST_IN_CLASS:
         x, y = [], []
@@ -84,7 +86,7 @@ def learn(met: Depths, law: NoiseLaw, pitch_mm: float) -> NoiseLaw:
         if np.ptp(x) > 0.2:
             centred = np.array(x) - np.mean(x)
             growth = -float(centred @ np.array(y)) / float(centred @ centred)
-            growth = 1.0 if growth > SURE_GROWTH else max(growth, 0.0)
+            growth = 1.0 if growth > SURE_GROWTH else (growth if growth > NO_GROWTH else 0.0)
     steady = scale_of(met, NoiseLaw(law.scale_mm, growth), pitch_mm, 0.0)
     sigmas = steady.sigmas(met)
     ends = np.flatnonzero((met.surface == LEAD_IN) & (np.abs(met.ahead_mm) < 10.0 * sigmas))

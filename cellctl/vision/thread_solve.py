@@ -22,6 +22,7 @@ ROUGH_POINTS, ROUGH_TOTAL = 150, 4000
 SEEKERS = 60
 RADIUS_CHANGES_MM = (0.0, -0.02, 0.02, -0.05, 0.05, -0.08, 0.08, -0.12, 0.12, -0.17)
 STILL_MM = 1e-4
+FINAL_ROUNDS, STILL_SIGMAS = 8, 0.3
 POOR_SHARE = 0.7
 """A stud of whose points a smaller share fits is tried again from another phase."""
 
@@ -164,7 +165,7 @@ def _finish(
     """The last rounds, on all points; how much studs lean is learnt from all of them."""
     known, form, priors = (start.own, start.shared), start.form, start.priors
     factor = 1.0
-    for turn in range(3):
+    for turn in range(FINAL_ROUNDS):
         met = depths(rays, own, shared, form)
         law = learn(met, law, shared[PITCH]) if turn == 0 else law
         weights, sigmas = tukey(met, law, shared[PITCH])
@@ -177,12 +178,18 @@ def _finish(
             priors = _with_lean(priors, lean_sigma(normal, own, known[0], priors, factor))
         d_own, d_shared = normal.step((own, shared), known, priors)
         own, shared = own + np.clip(d_own, -0.1, 0.1), shared + np.clip(d_shared, -0.05, 0.05)
-        if turn and correlation.length_px == 0.0:
+        own_covariance, shared_covariance = (factor * part for part in normal.covariance(priors))
+        if turn and _still(d_own, own_covariance) and _still(d_shared[None], shared_covariance[None]):
             break
-    own_covariance, shared_covariance = (factor * part for part in normal.covariance(priors))
     return Solution(
         own, shared, own_covariance, shared_covariance, met.ahead_mm, weights, law, met.surface, correlation
     )
+
+
+def _still(steps: Array, covariances: Array) -> bool:
+    """Whether steps (n, k) are small beside what is known (n, k, k), but for a stud that does not fit."""
+    sigmas = np.sqrt(np.einsum("nkk->nk", covariances))
+    return bool(np.mean(np.max(np.abs(steps) / sigmas, axis=1) < STILL_SIGMAS) > 0.9)
 
 
 def _with_lean(priors: Priors, lean_rad: float) -> Priors:

@@ -99,17 +99,17 @@ def scene_bound(
     cosine: Array,
     *,
     lean_deg: float = np.inf,
-    lost: NDArray[np.bool_] | None = None,
+    good: NDArray[np.bool_] | None = None,
 ) -> Bound:
-    """The bound of one scene, from its noise-free trace. `lost` (n,) pixels without a useful depth.
+    """The bound of one scene, from its noise-free trace. `good` (n,) pixels that were delivered.
 
     `lean_deg` is one sigma of the studs' leans that is known beforehand; infinite where nothing is.
     """
     eye, rays = seen_from(scene)
     weight = weights_of(cosine, scene.errors.sigma_mm, scene.errors.growth)
     weight = np.where(np.isfinite(depth) & (cosine >= np.cos(np.radians(scene.errors.steep_deg))), weight, 0.0)
-    if lost is not None:
-        weight = np.where(lost, 0.0, weight)
+    if good is not None:
+        weight = np.where(good, weight, 0.0)
     corner, schurs, inverses, levers = np.zeros((2, 2)), np.zeros((2, 2)), [], []
     for index, bolt in enumerate(scene.bolts):
         mine = np.flatnonzero((owner == index) & (weight > 0.0))

@@ -125,18 +125,19 @@ def _cosine(bolt: Bolt, points: Array, rays: Array) -> Array:
 
 def render(scene: Scene, rng: np.random.Generator) -> NDArray[np.float32]:
     """Organised cloud (pixels, pixels, 3) in the scanner frame, NaN where nothing was measured."""
-    return spoil(scene, *trace(scene), rng)
+    return spoil(scene, *trace(scene), rng)[0]
 
 
 def spoil(
     scene: Scene, depth: Array, owner: NDArray[np.intp], cosine: Array, rng: np.random.Generator
-) -> NDArray[np.float32]:
-    """The cloud that the instrument makes of a noise-free trace."""
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """The cloud that the instrument makes of a noise-free trace, and which pixels (n,) show the surface they meet."""
     errors, n = scene.errors, scene.pixels
     rays = directions(scene)
-    depth = np.where(cosine >= np.cos(np.radians(errors.steep_deg)), depth, np.nan)
+    true = depth = np.where(cosine >= np.cos(np.radians(errors.steep_deg)), depth, np.nan)
     if errors.flying:
         depth = _fly(depth.reshape(n, n), errors.flying, rng).ravel()
+    good = depth == true
     noise = rng.standard_normal((n, n))
     if errors.correlation_px:
         noise = ndimage.gaussian_filter(noise, errors.correlation_px / 2.0, mode="wrap")
@@ -145,6 +146,7 @@ def spoil(
     across = (rays[:, 0] * 0.8 + rays[:, 1] * 0.6) / rays[:, 2] * scene.T_scanner_part[2, 3]
     depth += np.sqrt(2.0) * errors.ripple_mm * np.sin(across / 9.7 + 0.4)
     wild = rng.random(n * n) < errors.outliers
+    good &= ~wild
     depth[wild] += rng.uniform(-15.0, 15.0, np.count_nonzero(wild))
     depth[rng.random(n * n) < errors.lost] = np.nan
     if errors.missing_view:
@@ -153,7 +155,8 @@ def spoil(
             side = int(n * np.sqrt(errors.missing_view / 5.0))
             row, column = rng.integers(0, n - side, 2)
             image[row : row + side, column : column + side] = np.nan
-    return (rays * depth[:, None]).astype(np.float32).reshape(n, n, 3)
+    good &= np.isfinite(depth)
+    return (rays * depth[:, None]).astype(np.float32).reshape(n, n, 3), good
 
 
 def _fly(image: Array, share: float, rng: np.random.Generator) -> Array:
