@@ -20,7 +20,7 @@ from cellctl.vision.pattern import nominal
 from cellctl.vision.rim import look
 from cellctl.vision.shared_noise import SharedNoise
 
-MIN_INNER_POINTS = 25
+MIN_INNER_POINTS = 12
 MIN_ARC = 0.5
 MAX_FILL = 0.25
 
