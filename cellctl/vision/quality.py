@@ -18,16 +18,22 @@ def rims(part: Part, radii_mm: Array) -> tuple[float, float]:
     return inner, outer
 
 
-def nearness(local: Array, part: Part, radii_mm: Array, margin_mm: float) -> NDArray[np.bool_]:
-    """Which points (N, 3) in the part's frame lie on the face's own area: (N,) bool.
-
-    Inside the rims and outside the features, each by `margin_mm`. Where the recipe gives no rims, a wide band.
-    """
+def band(part: Part, radii_mm: Array) -> tuple[float, float]:
+    """Inner and outer radius (mm) between which points count as the face: the rims, wide where the recipe has none."""
     inner, outer = rims(part, radii_mm)
     if part.face_inner_diameter_mm is None:
         inner *= 0.5
     if part.face_outer_diameter_mm is None:
         outer *= 1.5
+    return inner, outer
+
+
+def nearness(local: Array, part: Part, radii_mm: Array, margin_mm: float) -> NDArray[np.bool_]:
+    """Which points (N, 3) in the part's frame lie on the face's own area: (N,) bool.
+
+    Inside the rims and outside the features, each by `margin_mm`.
+    """
+    inner, outer = band(part, radii_mm)
     rho = np.hypot(local[:, 0], local[:, 1])
     inside = (rho > inner + margin_mm) & (rho < outer - margin_mm)
     if part.feature == "hole":
