@@ -13,6 +13,7 @@ from cellctl.api.auth import Allow, Role
 from cellctl.api.schemas import RunScan, RunScans
 from cellctl.api.services import Services, services_of
 from cellctl.api.strict import StrictRoute
+from cellctl.records.errors import UnknownRun
 from cellctl.view.of_run import SIDES, page_in
 
 CHUNK_BYTES = 1 << 18
@@ -28,10 +29,16 @@ router = APIRouter(route_class=StrictRoute, tags=["scans"])
 @router.get("/runs/{run_id}/scans", dependencies=VIEWER)
 async def all_scans(run_id: str, services: Annotated[Services, Depends(services_of)]) -> RunScans:
     """Every cloud of a run, in the order in which they were taken."""
+    try:
+        scans = await services.runs.scans(run_id)
+    except UnknownRun:
+        if services.orders.of_run(run_id) is None:
+            raise
+        scans = ()  # ordered, and without a journal (yet)
     items = [
         RunScan(view=scan.view, frame_id=scan.frame_id, taken=datetime.fromisoformat(scan.utc),
              measured=scan.placed, refused=scan.refused or None, kept=kept)
-        for scan, kept in await services.runs.scans(run_id)
+        for scan, kept in scans
     ]  # fmt: skip
     return RunScans(items=items)
 

@@ -16,7 +16,7 @@ from cellctl.vision.geometry import Array, Points, inverse, tangents, transform
 from cellctl.vision.holes import void_radii
 from cellctl.vision.part import FeatureFit, Part, PartMeasurement, ThreadFit
 from cellctl.vision.pattern import nominal
-from cellctl.vision.plane import TUKEY, robust_sigma
+from cellctl.vision.plane import RESOLUTION_MM, TUKEY, robust_sigma
 from cellctl.vision.quality import band
 from cellctl.vision.thread_surface import FLANK
 
@@ -78,7 +78,7 @@ def _judged(local: Array, distances: Array, feature: NDArray[np.int16], reach: f
     for kind in range(len(SURFACES)):
         mine = value[(surface == kind) & np.isfinite(value)]
         if len(mine):
-            scale[kind] = robust_sigma(mine)
+            scale[kind] = max(robust_sigma(mine), RESOLUTION_MM)
     surface[~(np.abs(value) < TUKEY * scale[surface])] = NONE
     return Residuals(local, surface, value.astype(np.float32), feature, scale, reach)
 
