@@ -20,8 +20,8 @@ from cellctl.view.cloud import chosen, packed
 from cellctl.view.tables import alignment_tables, facts_table, feature_table, missing_list, part_facts, surface_table
 from cellctl.vision.geometry import Array, Points
 from cellctl.vision.part import Part, PartMeasurement
-from cellctl.vision.quality import rims
 from cellctl.vision.residuals import FACE, Residuals, Shapes, residuals
+from cellctl.vision.zones import rims
 
 POINTS = 200_000
 """Most points in a page, both sides together: 9 bytes each, 2.4 MB as base64."""

@@ -17,8 +17,8 @@ from cellctl.vision.holes import void_radii
 from cellctl.vision.part import FeatureFit, Part, PartMeasurement, ThreadFit
 from cellctl.vision.pattern import nominal
 from cellctl.vision.plane import RESOLUTION_MM, TUKEY, robust_sigma
-from cellctl.vision.quality import band
 from cellctl.vision.thread_surface import FLANK
+from cellctl.vision.zones import band
 
 FACE, CHAMFER, WALL, THREAD, NONE = 0, 1, 2, 3, -1
 SURFACES = ("face", "chamfer", "wall", "thread")
