@@ -49,11 +49,12 @@ def refine(samples: Samples, fits: HoleFits, noise: SharedNoise, pixels: Array, 
         if not samples.chamfered:
             parameters[:, CHAMFER] = parameters[:, WALL]
     influence = stencil.back(free[:SIZE] * weights)
-    covariances = np.stack([
-        _sandwich(influence[:, a:b].T, pixels[a:b], noise, inverse[k], fits.prior[k], float(np.abs(amplitude[a:b]).max()))
-        if b > a else fits.covariances[k]
-        for k, (a, b) in enumerate(zip(samples.starts[:-1], samples.starts[1:], strict=True))
-    ])  # fmt: skip
+    covariances = fits.covariances.copy()
+    for k, (a, b) in enumerate(zip(samples.starts[:-1], samples.starts[1:], strict=True)):
+        if b > a:
+            largest = float(np.abs(amplitude[a:b]).max())
+            own = influence[:, a:b].T
+            covariances[k] = _sandwich(own, pixels[a:b], noise, inverse[k], fits.prior[k], largest)
     return replace(fits, parameters=parameters, covariances=covariances)
 
 
