@@ -17,7 +17,7 @@ from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, stan
 
 RANSAC_POINTS = 12_000
 MAX_NOISE_MM = 0.5
-CELLS_PER_SPACING = 1.6
+CELLS_PER_SPACING, CELLS_PER_RADIUS = 1.6, 4.0
 THINNED_POINTS = 120_000
 """As many points show where the face and its pattern are; finer sampling serves the fits."""
 
@@ -119,10 +119,10 @@ def _try_plane(densities: list[_Thinned], plane: Plane, part: Part, eye: Array, 
 
 
 def _fine_enough(part: Part, cell_mm: float) -> bool:
-    """Whether a raster with such cells shows the part's features: a hole's radius is three cells, a stud's two."""
+    """Whether a raster with such cells shows the part's features: a hole's radius is 1.5 cells, a stud's two."""
     if part.feature == "stud":
         return 2.0 * cell_mm < (radius_of(part) or 0.0)
-    return 3.0 * cell_mm < float(np.nanmin(void_radii(part)))
+    return 1.5 * cell_mm < float(np.nanmin(void_radii(part)))
 
 
 def _holes(uv: Array, part: Part, space: float, cells: float) -> list[Void]:
@@ -141,8 +141,10 @@ def _holes(uv: Array, part: Part, space: float, cells: float) -> list[Void]:
         radii = np.geomspace(3.0 * space, largest, 9) if largest > 3.0 * space else np.array([largest])
     if float(radii.min()) < 1.6 * space:
         raise Refused("too_coarse", f"point spacing {space:.2f} mm is too coarse for holes of {2 * radii.min():.1f} mm")
-    raster = rasterise(uv, cells * space, margin_mm=float(radii.max()))
-    return find_voids(raster, tuple(float(radius) for radius in radii))
+    cell = min(cells * space, max(float(radii.min()) / CELLS_PER_RADIUS, 0.5 * space))
+    raster = rasterise(uv, cell, margin_mm=float(radii.max()))
+    gap = max(2, int(np.ceil(0.9 * cells * space / cell)))
+    return find_voids(raster, tuple(float(radius) for radius in radii), gap=gap)
 
 
 def _studs(local: Columns, on_plane: Array, part: Part, space: float) -> list[Void]:
