@@ -36,7 +36,7 @@ class Correlation:
 class PixelGrid:
     """Where points lie in an organised cloud: `table` holds the row of each pixel's point, -1 where there is none."""
 
-    table: NDArray[np.int64]
+    table: NDArray[np.int32]
     rows: Indices
     columns: Indices
 
@@ -47,11 +47,11 @@ class PixelGrid:
             return None
         rows, columns = np.divmod(pixels, shape[1])
         rows, columns = rows - rows.min() + reach, columns - columns.min() + reach
-        table = np.full((int(rows.max()) + 1 + reach, int(columns.max()) + 1 + reach), -1, dtype=np.int64)
-        table[rows, columns] = np.arange(len(pixels))
+        table = np.full((int(rows.max()) + 1 + reach, int(columns.max()) + 1 + reach), -1, dtype=np.int32)
+        table[rows, columns] = np.arange(len(pixels), dtype=np.int32)
         return cls(table, rows.astype(np.intp), columns.astype(np.intp))
 
-    def neighbour(self, down: int, right: int) -> NDArray[np.int64]:
+    def neighbour(self, down: int, right: int) -> NDArray[np.int32]:
         """Row of the point that lies `down`, `right` of each point, -1 where there is none."""
         return np.asarray(self.table[self.rows + down, self.columns + right])
 
@@ -78,7 +78,7 @@ def estimate(grid: PixelGrid, residuals: Array) -> Correlation:
 class Whitener:
     """Takes from every row what its neighbours before it already tell (Vecchia, J. R. Stat. Soc. B 50 (1988) 297)."""
 
-    neighbours: NDArray[np.int64]
+    neighbours: NDArray[np.int32]
     shares: Array
     spread: Array
 

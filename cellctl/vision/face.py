@@ -51,7 +51,8 @@ def find_face(points: Columns, part: Part, eye: Array, reference: Array, rng: np
     """
     some = points if len(points) <= RANSAC_POINTS else points.take(rng.integers(0, len(points), RANSAC_POINTS))
     densities = [_Thinned(points, 1.0, CELLS_PER_SPACING)]
-    if len(points) > 2 * THINNED_POINTS and (part.diameter_mm is not None or (part.feature == "stud" and part.thread is not None)):
+    sized = part.diameter_mm is not None or (part.feature == "stud" and part.thread is not None)
+    if len(points) > 2 * THINNED_POINTS and sized:
         densities.insert(0, _thinned(points, rng))
     best: Face | None = None
     refusal: Refused | None = None

@@ -52,18 +52,20 @@ class Near:
 
 @dataclass(frozen=True, slots=True)
 class _Around:
-    """Rows (M,) of the points about the studs, sorted by stud; offsets (2, M) from its expected axis, heights (M,)."""
+    """Rows (M,) of the points about the studs, sorted by stud; offsets (2, M) and distances (M,) from its expected
+    axis, heights (M,)."""
 
     rows: Indices
     stud: Indices
     starts: Indices
     offset: Array
+    distance: Array
     height: Array
 
-    def of(self, index: int) -> tuple[Array, Array]:
-        """Offsets and heights of one stud's points."""
+    def of(self, index: int) -> tuple[Array, Array, Array]:
+        """Offsets, distances and heights of one stud's points."""
         mine = slice(self.starts[index], self.starts[index + 1])
-        return self.offset[:, mine], self.height[mine]
+        return self.offset[:, mine], self.distance[mine], self.height[mine]
 
 
 def gather(local: Array, pixels: Indices | None, centres: Array, part: Part, eye: Array) -> Near:
@@ -81,14 +83,15 @@ def gather(local: Array, pixels: Indices | None, centres: Array, part: Part, eye
     if part.diameter_mm is not None and part.thread is None:
         extra = 0.5 * np.asarray(part.diameter_mm) - radius
     size = radius + extra
-    from_axis = np.hypot(*(around.offset - (middles - centres).T[:, around.stud]))
-    size_here = size[around.stud]
-    side = (around.height < tips[around.stud] + 0.3) & (from_axis > (1.0 - RIM_SHARE) * size_here)
-    side = np.flatnonzero(side & (from_axis < (1.0 + BESIDE) * size_here + 0.2))
+    u, v = around.offset - (middles - centres).T[:, around.stud]
+    square = u * u + v * v
+    low, high = np.square((1.0 - RIM_SHARE) * size), np.square((1.0 + BESIDE) * size + 0.2)
+    side = (around.height < (tips + 0.3)[around.stud]) & (square > low[around.stud]) & (square < high[around.stud])
+    side = np.flatnonzero(side)
     rows, stud = around.rows[side], around.stud[side]
-    points = local[:, rows]
+    points = local.take(rows, axis=1)
     rays = points - eye[:, None]
-    rays /= np.sqrt(np.sum(rays * rays, axis=0))
+    rays /= np.sqrt(np.einsum("in,in->n", rays, rays))
     starts = np.searchsorted(stud, np.arange(len(centres) + 1))
     chosen = pixels[rows] if pixels is not None else None
     return Near(Rays(points, rays, stud), chosen, starts, tips, middles, radius, extra)
@@ -115,11 +118,10 @@ def _around(local: Array, centres: Array, reach: float) -> _Around:
     stud = stud[stud >= 0]
     order = np.argsort(stud, kind="stable")
     rows, stud = rows[order], stud[order].astype(np.intp)
-    offset = local[:2, rows] - centres.T[:, stud]
-    close = np.sum(offset * offset, axis=0) < reach**2
-    rows, stud = rows[close], stud[close]
+    offset = local[:2].take(rows, axis=1) - centres.T[:, stud]
+    distance = np.sqrt(offset[0] * offset[0] + offset[1] * offset[1])
     starts = np.searchsorted(stud, np.arange(len(centres) + 1))
-    return _Around(rows, stud, starts, offset[:, close], local[2, rows])
+    return _Around(rows, stud, starts, offset, distance, local[2].take(rows))
 
 
 def _ends(around: _Around, centres: Array, part: Part, core_mm: float, most_mm: float) -> tuple[Array, Array]:
@@ -129,8 +131,7 @@ def _ends(around: _Around, centres: Array, part: Part, core_mm: float, most_mm: 
     """
     tips, middles = np.full(len(centres), np.nan), centres.copy()
     for index in range(len(centres)):
-        offset, height = around.of(index)
-        distance = np.hypot(*offset)
+        offset, distance, height = around.of(index)
         core = height[distance < core_mm]
         if len(core) < LEAST_IN_CORE < len(height):
             core = height[np.argpartition(distance, LEAST_IN_CORE)[:LEAST_IN_CORE]]

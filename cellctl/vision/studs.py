@@ -12,7 +12,8 @@ from cellctl.vision.pattern import find_pattern, nominal
 from cellctl.vision.stud_points import LEAST_HEIGHT_MM, Near, gather
 from cellctl.vision.stud_tips import find_tips, radius_of, tip_levels
 from cellctl.vision.thread_normal import Priors
-from cellctl.vision.thread_solve import Solution, Start, best_lead_in, best_phase, solve, thinned
+from cellctl.vision.thread_solve import Solution, solve
+from cellctl.vision.thread_start import Start, best_lead_in, best_phase, seekers, thinned
 from cellctl.vision.thread_surface import OWN, TIP, Form, Rays
 from cellctl.vision.thread_vote import ThreadVote, check_vote, shows, vote
 
@@ -24,8 +25,8 @@ MIN_SHARE = 0.5
 """A smaller share of the points around a stud that fit it means that it is something else."""
 MIN_VOTERS, CLEAR_VOTE = 100, 0.35
 """Points and score with which one stud alone says what thread it has."""
-VOTERS, SEEKERS = 300, 60
-"""Points of a stud that vote, and that look for its phase."""
+VOTERS = 200
+"""Points of a stud that vote."""
 LEAD_IN_PITCHES = np.array([0.0, 0.35, 0.6, 0.9, 1.3, 1.9, 2.7])
 LENGTH_TOLERANCE, RADIUS_TOLERANCE = 0.1, 0.02
 """Shares of the recipe's sizes by which a stud may differ, beside 1 mm of length and 0.15 mm of radius."""
@@ -122,12 +123,12 @@ def _fit(
     own[:, 5] = near.tips - 0.6 * pitch
     form = Form(0, 1, 0.5 * length, near.tips, near.extra_mm)
     shared = np.array([near.radius_mm, pitch / 16.0, pitch, 1.0])
-    seekers = near.rays.take(thinned(near.rays.stud, SEEKERS))
+    some = seekers(near.rays)
     if ballot is not None:
         form = Form(1 if ballot.hand == "right" else -1, ballot.starts, 0.5 * length, near.tips, near.extra_mm)
         own[:, 4] = ballot.phase_mm - form.middle_mm
-        own[:, 4] = best_phase(seekers, own, shared, form)
-    own[:, 5] = near.tips - best_lead_in(seekers, own, shared, form, LEAD_IN_PITCHES * pitch)
+        own[:, 4] = best_phase(some, own, shared, form)
+    own[:, 5] = near.tips - best_lead_in(some, own, shared, form, LEAD_IN_PITCHES * pitch)
     lean = np.radians(axis_prior_deg)
     spread = np.array([0.1, 0.03 * pitch, 0.05 * pitch, 0.3])
     if ballot is None:

@@ -12,15 +12,14 @@ from cellctl.vision.geometry import Array, PlaneFrame
 from cellctl.vision.part import Refused, Thread, ThreadFit
 from cellctl.vision.pca import principal
 from cellctl.vision.thread_normal import Priors
-from cellctl.vision.thread_solve import Solution, Start, best_phase, solve, thinned
+from cellctl.vision.thread_solve import Solution, solve
+from cellctl.vision.thread_start import Start, best_phase, seekers
 from cellctl.vision.thread_surface import LOWER, OWN, Form, Rays
 from cellctl.vision.thread_vote import ThreadVote, check_vote, shows, vote
 
 MIN_POINTS = 200
 CREST_BAND = 0.15
 """How deep the crest's band reaches, in pitches: a quarter of the thread's depth."""
-SEEKERS = 4000
-"""Points that look for the phase."""
 FAR_MM = 1e6
 """Height of tip and lead-in where they are not part of the problem."""
 
@@ -133,7 +132,7 @@ def _solve(
     own = np.zeros((1, OWN))
     own[0, 4], own[0, 5] = ballot.phase_mm[0], FAR_MM
     shared = np.array([crest_mm, pitch / 16.0, pitch, 1.0])
-    own[:, 4] = best_phase(rays.take(thinned(rays.stud, SEEKERS)), own, shared, form, steps=32)
+    own[:, 4] = best_phase(seekers(rays), own, shared, form, steps=32)
     priors = Priors(np.array([2.0, 2.0, 0.1, 0.1, np.inf, 1e-3]), np.array([0.3, 0.03 * pitch, 0.05 * pitch, 1e-3]))
     return solve(rays, Start(own, shared, priors, form), pixels=pixels, shape=shape), form
 

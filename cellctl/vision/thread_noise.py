@@ -37,8 +37,11 @@ class NoiseLaw:
     def sigmas(self, met: Depths) -> Array:
         """One sigma (N,) in mm."""
         cosine = np.maximum(met.cosine, LEAST_COSINE)
-        spread = self.scale_mm * np.sqrt(cosine ** (-2.0 * self.growth) + (UNEVEN / met.cosine) ** 2)
-        return np.asarray(np.where(met.surface == LEAD_IN, spread * self.lead_in, spread))
+        slant = 1.0 / cosine if self.growth == 1.0 else cosine**-self.growth if self.growth else 1.0
+        spread = self.scale_mm * np.sqrt(slant * slant + np.square(UNEVEN / met.cosine))
+        return np.asarray(
+            spread if self.lead_in == 1.0 else np.where(met.surface == LEAD_IN, spread * self.lead_in, spread)
+        )
 
 
 def on_thread(met: Depths, pitch_mm: float) -> NDArray[np.bool_]:

@@ -65,6 +65,12 @@ class Depths:
     cosine: Array
     below_mm: Array
 
+    def take(self, rows: Indices | slice) -> Depths:
+        """The chosen points only."""
+        return Depths(
+            self.ahead_mm[rows], self.surface[rows], self.slopes[:, rows], self.cosine[rows], self.below_mm[rows]
+        )
+
 
 def depths(rays: Rays, own: Array, shared: Array, form: Form) -> Depths:
     """Predict the depth of every ray for stud parameters `own` (n, OWN) and `shared` (SHARED,).
@@ -192,7 +198,7 @@ class _Track:
 
     def derivatives(self, ahead: Array, met: NDArray[np.int8], ridge: Array, angle: Array) -> Depths:
         """Implicit derivatives of the depth at the surface that each ray meets: -(dF/dq) / (dF/d depth)."""
-        at = np.nan_to_num(ahead)
+        at = np.where(np.isfinite(ahead), ahead, 0.0)
         x, y, s = self.x + at * self.dx, self.y + at * self.dy, self.s + at * self.ds
         r = np.maximum(np.sqrt(x * x + y * y), 0.05)
         lead_in, tip = met == LEAD_IN, met == TIP
