@@ -14,7 +14,7 @@ from cellctl.vision.stud_tips import find_tips, radius_of, tip_levels
 from cellctl.vision.thread_normal import Priors
 from cellctl.vision.thread_solve import Solution, solve
 from cellctl.vision.thread_start import Start, best_lead_in, best_phase, seekers, thinned
-from cellctl.vision.thread_surface import OWN, TIP, Form, Rays
+from cellctl.vision.thread_surface import OWN, PITCH, RADIUS, ROOT_PITCHES, TIP, Form, Rays
 from cellctl.vision.thread_vote import ThreadVote, check_vote, shows, vote
 
 AXIS_PRIOR_DEG = 0.03
@@ -122,7 +122,7 @@ def _fit(
     own[:, :2] = near.middles
     own[:, 5] = near.tips - 0.6 * pitch
     form = Form(0, 1, 0.5 * length, near.tips, near.extra_mm)
-    shared = np.array([near.radius_mm, pitch / 16.0, pitch, 1.0])
+    shared = np.array([near.radius_mm, pitch / 16.0, pitch, 1.0, near.radius_mm - ROOT_PITCHES * pitch])
     some = seekers(near.rays)
     if ballot is not None:
         form = Form(1 if ballot.hand == "right" else -1, ballot.starts, 0.5 * length, near.tips, near.extra_mm)
@@ -130,7 +130,7 @@ def _fit(
         own[:, 4] = best_phase(some, own, shared, form)
     own[:, 5] = near.tips - best_lead_in(some, own, shared, form, LEAD_IN_PITCHES * pitch)
     lean = np.radians(axis_prior_deg)
-    spread = np.array([0.1, 0.03 * pitch, 0.05 * pitch, 0.3])
+    spread = np.array([0.1, 0.03 * pitch, 0.05 * pitch, 0.3, 0.1 * pitch])
     if ballot is None:
         spread[1:3] = 1e-6
     priors = Priors(np.array([2.0, 2.0, lean, lean, np.inf, 1.0]), spread)
@@ -226,10 +226,10 @@ def _check_alone(index: int, near: Near, expected: Thread) -> None:
 def _thread(solution: Solution, form: Form, ballot: ThreadVote | None, own: Array) -> ThreadFit | None:
     if ballot is None:
         return None
-    radius, _, pitch, _ = (float(value) for value in solution.shared)
+    radius, pitch = float(solution.shared[RADIUS]), float(solution.shared[PITCH])
     sigma = np.sqrt(np.diag(solution.shared_covariance))
     phase = float((own[4] + form.middle_mm) / pitch * 2.0 * np.pi % (2.0 * np.pi))
-    return ThreadFit(radius, pitch, ballot.hand, ballot.starts, phase, float(sigma[0]), float(sigma[2]))
+    return ThreadFit(radius, pitch, ballot.hand, ballot.starts, phase, float(sigma[RADIUS]), float(sigma[PITCH]))
 
 
 def _why_not(used: int, there: int, covariance: Array) -> str:

@@ -14,7 +14,7 @@ from cellctl.vision.pca import principal
 from cellctl.vision.thread_normal import Priors
 from cellctl.vision.thread_solve import Solution, solve
 from cellctl.vision.thread_start import Start, best_phase, seekers
-from cellctl.vision.thread_surface import LOWER, OWN, Form, Rays
+from cellctl.vision.thread_surface import LEAD_IN, OWN, PITCH, RADIUS, ROOT_PITCHES, Form, Rays
 from cellctl.vision.thread_vote import ThreadVote, check_vote, shows, vote
 
 MIN_POINTS = 200
@@ -131,9 +131,10 @@ def _solve(
     form = Form(1 if ballot.hand == "right" else -1, ballot.starts, 0.0, np.array([FAR_MM]), np.zeros(1))
     own = np.zeros((1, OWN))
     own[0, 4], own[0, 5] = ballot.phase_mm[0], FAR_MM
-    shared = np.array([crest_mm, pitch / 16.0, pitch, 1.0])
+    shared = np.array([crest_mm, pitch / 16.0, pitch, 1.0, crest_mm - ROOT_PITCHES * pitch])
     own[:, 4] = best_phase(seekers(rays), own, shared, form, steps=32)
-    priors = Priors(np.array([2.0, 2.0, 0.1, 0.1, np.inf, 1e-3]), np.array([0.3, 0.03 * pitch, 0.05 * pitch, 1e-3]))
+    spread = np.array([0.3, 0.03 * pitch, 0.05 * pitch, 1e-3, 0.1 * pitch])
+    priors = Priors(np.array([2.0, 2.0, 0.1, 0.1, np.inf, 1e-3]), spread)
     return solve(rays, Start(own, shared, priors, form), pixels=pixels, shape=shape), form
 
 
@@ -154,9 +155,9 @@ def _result(
     rows: NDArray[np.intp],
     noise_mm: float,
 ) -> ThreadResult:
-    radius, _, pitch, _ = (float(value) for value in solution.shared)
+    radius, pitch = float(solution.shared[RADIUS]), float(solution.shared[PITCH])
     own = solution.own[0]
-    used = (solution.weights > 0) & (solution.surface <= LOWER)
+    used = (solution.weights > 0) & (solution.surface < LEAD_IN)
     place = frame.out(np.array([own[0], own[1], 0.0]))
     sigmas = np.sqrt(np.diag(solution.shared_covariance))
     direction = np.array([own[2], own[3], 1.0]) @ frame.axes
@@ -171,8 +172,8 @@ def _result(
             hand=ballot.hand,
             starts=ballot.starts,
             phase_rad=float((own[4] + form.middle_mm) / pitch * 2.0 * np.pi % (2.0 * np.pi)),
-            sigma_radius_mm=float(sigmas[0]),
-            sigma_pitch_mm=float(sigmas[2]),
+            sigma_radius_mm=float(sigmas[RADIUS]),
+            sigma_pitch_mm=float(sigmas[PITCH]),
         ),
         point_mm=place,
         direction=direction,

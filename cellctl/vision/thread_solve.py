@@ -14,7 +14,7 @@ from cellctl.vision.correlation import Correlation, PixelGrid, Whitener, estimat
 from cellctl.vision.thread_noise import NoiseLaw, learn, tukey
 from cellctl.vision.thread_normal import Normal, Priors, lean_sigma
 from cellctl.vision.thread_start import Start, near, rows_of
-from cellctl.vision.thread_surface import PITCH, TIP, Array, Depths, Indices, Rays, depths
+from cellctl.vision.thread_surface import TIP, Array, Depths, Indices, Rays, depths
 
 ROUNDS, STILL_SIGMAS = 8, 0.5
 FAR_SIGMAS = 15.0
@@ -51,16 +51,16 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
     organised = pixels is not None and len(shape) == 2
     known, priors, factor = (start.own, start.shared), start.priors, 1.0
     whole = depths(rays, own, shared, start.form)
-    law = learn(whole, law, shared[PITCH])
-    weights, sigmas = tukey(whole, law, shared[PITCH])
+    law = learn(whole, law, shared)
+    weights, sigmas = tukey(whole, law)
     used = np.flatnonzero((whole.surface < TIP) & (np.abs(whole.ahead_mm) < FAR_SIGMAS * sigmas))
     some, met = rays.take(used), whole.take(used)
     places = pixels[used] if pixels is not None and organised else None
-    correlation = _correlation(met, law, shared[PITCH], places, shape)
+    correlation = _correlation(met, law, places, shape)
     for turn in range(ROUNDS):
         if turn:
             met = depths(some, own, shared, start.form)
-        rows, kept, square = _independent(met, law, shared[PITCH], some.stud, places, shape, correlation)
+        rows, kept, square = _independent(met, law, some.stud, places, shape, correlation)
         normal = Normal.empty(len(own))
         normal.add(rows, square, some.stud[kept])
         if turn == 0:
@@ -73,7 +73,7 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
         if turn and _still(d_own, own_covariance) and _still(d_shared[None], shared_covariance[None]):
             break
     weights[:] = 0.0
-    weights[used] = tukey(met, law, shared[PITCH])[0]
+    weights[used] = tukey(met, law)[0]
     whole.ahead_mm[used], whole.surface[used] = met.ahead_mm, met.surface
     return Solution(
         own, shared, own_covariance, shared_covariance, whole.ahead_mm, weights, law, whole.surface, correlation
@@ -92,22 +92,20 @@ def _with_lean(priors: Priors, lean_rad: float) -> Priors:
     return replace(priors, own=own)
 
 
-def _correlation(
-    met: Depths, law: NoiseLaw, pitch_mm: float, pixels: Indices | None, shape: tuple[int, ...]
-) -> Correlation:
+def _correlation(met: Depths, law: NoiseLaw, pixels: Indices | None, shape: tuple[int, ...]) -> Correlation:
     """What the residuals of neighbouring pixels share."""
-    weights, sigmas = tukey(met, law, pitch_mm)
+    weights, sigmas = tukey(met, law)
     kept = np.flatnonzero(weights > 0.1)
     grid = PixelGrid.of(pixels[kept], shape) if pixels is not None else None
     return WHITE if grid is None else estimate(grid, (met.ahead_mm / sigmas)[kept])
 
 
 def _independent(
-    met: Depths, law: NoiseLaw, pitch_mm: float, stud: Indices, pixels: Indices | None, shape: tuple[int, ...],
+    met: Depths, law: NoiseLaw, stud: Indices, pixels: Indices | None, shape: tuple[int, ...],
     correlation: Correlation,
 ) -> tuple[Array, Indices, Array]:  # fmt: skip
     """Rows freed from the noise that neighbouring pixels share, which points they belong to, and their weights."""
-    weights, sigmas = tukey(met, law, pitch_mm)
+    weights, sigmas = tukey(met, law)
     rows = rows_of(met, sigmas)
     if correlation.length_px == 0.0 or pixels is None:
         return rows, np.arange(len(stud)), weights

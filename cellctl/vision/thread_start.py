@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.thread_noise import NoiseLaw, learn, misfit, on_thread, scale_of, tukey
+from cellctl.vision.thread_noise import SURELY_FLANK, NoiseLaw, learn, misfit, on_thread, scale_of, tukey
 from cellctl.vision.thread_normal import Normal, Priors
 from cellctl.vision.thread_surface import FLANK, PITCH, RADIUS, Array, Depths, Form, Rays, depths
 
@@ -45,7 +45,7 @@ def near(rays: Rays, start: Start) -> tuple[Array, Array, NoiseLaw]:
     own, shared, law = approach(few, start, start.own, start.shared, 0.25)
     own, shared, law = _tried_again(some, start, own, shared, law)
     own, shared, law = _other_radius(some, start, own, shared, law)
-    law = learn(depths(some, own, shared, start.form), law, shared[PITCH])
+    law = learn(depths(some, own, shared, start.form), law, shared)
     return approach(some, start, own, shared, 0.0, law=law, rounds=3, held=0)
 
 
@@ -62,22 +62,22 @@ def approach(
     rounds: int = 16, held: int = HELD_ROUNDS,
 ) -> tuple[Array, Array, NoiseLaw]:  # fmt: skip
     """Gauss-Newton with Tukey weights whose scale falls from `scale_mm` to what the residuals show."""
-    known, law = (start.own, start.shared), law or NoiseLaw(scale_mm)
+    known, law = (start.own, start.shared), law or NoiseLaw(scale_mm, SURELY_FLANK * float(start.shared[PITCH]))
     for turn in range(rounds):
         met = depths(rays, own, shared, start.form)
-        law = scale_of(met, law, shared[PITCH], scale_mm * 0.5**turn if turn < 4 else 0.0)
+        law = scale_of(met, law, scale_mm * 0.5**turn if turn < 4 else 0.0)
         priors = start.priors
         if turn < held:
             priors = replace(priors, shared=np.minimum(priors.shared, HELD_MM))
-        d_own, d_shared = _normal(met, law, shared, rays.stud, len(own)).step((own, shared), known, priors)
+        d_own, d_shared = _normal(met, law, rays.stud, len(own)).step((own, shared), known, priors)
         own, shared = own + np.clip(d_own, -0.3, 0.3), shared + np.clip(d_shared, -0.1, 0.1)
         if turn > held + 1 and float(np.abs(d_own[:, [0, 1, 4]]).max()) < STILL_MM:
             break
     return own, shared, law
 
 
-def _normal(met: Depths, law: NoiseLaw, shared: Array, stud: NDArray[np.intp], count: int) -> Normal:
-    weights, sigmas = tukey(met, law, shared[PITCH])
+def _normal(met: Depths, law: NoiseLaw, stud: NDArray[np.intp], count: int) -> Normal:
+    weights, sigmas = tukey(met, law)
     normal = Normal.empty(count)
     normal.add(rows_of(met, sigmas), weights, stud)
     return normal
@@ -113,7 +113,7 @@ def _other_radius(rays: Rays, start: Start, own: Array, shared: Array, law: Nois
     losses = []
     for change in RADIUS_CHANGES_MM:
         met = depths(some, *_resized(own, shared, change), start.form)
-        losses.append(float(misfit(met, law, shared[PITCH]).sum()))
+        losses.append(float(misfit(met, law).sum()))
     change = RADIUS_CHANGES_MM[int(np.argmin(losses))]
     if change == 0.0:
         return own, shared, law
@@ -131,7 +131,7 @@ def _resized(own: Array, shared: Array, change_mm: float) -> tuple[Array, Array]
 def _misfit(rays: Rays, own: Array, shared: Array, form: Form, law: NoiseLaw) -> Array:
     """Share (n,) of each stud's points on thread and lead-in that do not fit."""
     met = depths(rays, own, shared, form)
-    on, (weights, _) = on_thread(met, shared[PITCH]), tukey(met, law, shared[PITCH])
+    on, (weights, _) = on_thread(met, law.deepest_mm), tukey(met, law)
     there = np.bincount(rays.stud[on], minlength=len(own))
     return np.asarray(np.bincount(rays.stud[on & (weights == 0.0)], minlength=len(own)) / np.maximum(there, 1))
 

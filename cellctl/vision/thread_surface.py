@@ -2,8 +2,9 @@
 
 Each stud's frame: s along its axis from the face to the tip, phi = atan2(y, x). A thread ridge is the intersection of
 half spaces: the crest cylinder r <= R, the two 60 degree flanks (ISO 68-1), the lead-in cone and the flat tip. A ray
-enters the ridge where it has entered all of them, so the depth is the largest of their entries; that depth is
-compared with the measured one, which keeps the crest free of the bias of a linearised distance to the helix.
+enters the ridge where it has entered all of them, so the depth is the largest of their entries, unless it meets the
+root's cylinder before; that depth is compared with the measured one, which keeps the crest free of the bias of a
+linearised distance to the helix.
 """
 
 from __future__ import annotations
@@ -19,13 +20,16 @@ Mask = NDArray[np.bool_]
 
 FLANK = float(np.sqrt(3.0))
 """|dr/ds| of a 60 degree thread's flank."""
-CREST, UPPER, LOWER, LEAD_IN, TIP = range(5)
+ROOT_PITCHES = 0.613
+"""Depth of an external thread in pitches (d3 of ISO 965-1): where a fit begins."""
+CREST, UPPER, LOWER, ROOT, LEAD_IN, TIP = range(6)
 OWN = 6
 """Parameters of one stud: axis x, y at s = 0 (mm), its slopes dx/ds, dy/ds, phase (mm along s), height at which the
 lead-in leaves the crest (mm)."""
-SHARED = 4
-"""Parameters that alike studs share: crest radius R, half crest width w, pitch P (mm), fall -dr/ds of the lead-in."""
-RADIUS, CREST_WIDTH, PITCH, FALL = range(SHARED)
+SHARED = 5
+"""Parameters that alike studs share: crest radius R, half crest width w, pitch P (mm), fall -dr/ds of the lead-in,
+root radius (mm)."""
+RADIUS, CREST_WIDTH, PITCH, FALL, ROOT_RADIUS = range(SHARED)
 BLOCK = 4096
 
 
@@ -93,20 +97,23 @@ def depths(rays: Rays, own: Array, shared: Array, form: Form) -> Depths:
 
 def _depths(rays: Rays, own: Array, shared: Array, form: Form) -> Depths:
     track = _Track.of(rays, own, shared, form)
-    entries = np.full((5, len(rays.stud)), -np.inf)
-    entries[CREST] = track.crest_entry()
+    entries = np.full((6, len(rays.stud)), -np.inf)
+    entries[CREST] = track.cylinder_entry(track.radius)
     entries[LEAD_IN] = track.lead_in_entry()
-    entries[TIP] = (form.tip_mm[rays.stud] - track.s) / np.where(track.ds < -0.05, track.ds, -np.inf)
+    entries[TIP] = np.where(track.ds < -0.02, (form.tip_mm[rays.stud] - track.s) / np.minimum(track.ds, -0.02), -np.inf)
     ridge = angle = np.zeros(0)
     if form.hand:
-        shallow = FLANK * np.abs(track.ds) < track.across
-        ridge = track.ridge(entries.max(axis=0), shallow)
-        entries[UPPER], angle = track.flank_entry(ridge, FLANK)
-        if shallow.any():
-            entries[LOWER], other = track.flank_entry(ridge, -FLANK)
-            angle = np.where(entries[LOWER] > entries[UPPER], other, angle)
+        ridge, sign = track.ridge(entries.max(axis=0))
+        entry, angle = track.flank_entry(ridge, sign)
+        entries[UPPER] = np.where(sign > 0.0, entry, -np.inf)
+        entries[LOWER] = np.where(sign < 0.0, entry, -np.inf)
     met = entries.argmax(axis=0).astype(np.int8)
     ahead = entries.max(axis=0)
+    if form.hand and (np.abs(track.ds) < track.across).any():
+        # steeper rays meet the next ridge before they come down to the root
+        root = np.maximum(track.cylinder_entry(track.root), np.maximum(entries[LEAD_IN], entries[TIP]))
+        met = np.where(root < ahead, np.int8(ROOT), met)
+        ahead = np.minimum(ahead, root)
     return track.derivatives(np.where(np.isfinite(ahead), ahead, np.nan), met, ridge, angle)
 
 
@@ -114,7 +121,7 @@ def _depths(rays: Rays, own: Array, shared: Array, form: Form) -> Depths:
 class _Track:
     """Each ray in its stud's own frame: position x, y, s at the measured point and change dx, dy, ds per mm along it.
 
-    `across` (N,) is the length of (dx, dy), `radius` (N,) each stud's crest.
+    `across` (N,) is the length of (dx, dy), `radius` and `root` (N,) are each stud's crest and root.
     """
 
     x: Array
@@ -127,6 +134,7 @@ class _Track:
     phase: Array
     lead_in: Array
     radius: Array
+    root: Array
     half_crest: float
     pitch: float
     fall: float
@@ -134,34 +142,48 @@ class _Track:
 
     @classmethod
     def of(cls, rays: Rays, own: Array, shared: Array, form: Form) -> _Track:
-        common, half_crest, pitch, fall = (float(value) for value in shared)
+        common, half_crest, pitch, fall, root = (float(value) for value in shared)
         x0, y0, slope_x, slope_y, phase, lead_in = own.T[:, rays.stud]
         (x, y, s), (dx, dy, ds) = rays.points, rays.directions
         x, y = x - x0 - slope_x * s, y - y0 - slope_y * s
         dx, dy = dx - slope_x * ds, dy - slope_y * ds
         s, ds = s + slope_x * x + slope_y * y, ds + slope_x * dx + slope_y * dy
         lead = form.hand * form.starts * pitch / (2.0 * np.pi)
-        radius = common + form.extra_mm[rays.stud]
+        extra = form.extra_mm[rays.stud]
         across = np.sqrt(dx * dx + dy * dy)
-        return cls(x, y, s, dx, dy, ds, across, phase + form.middle_mm, lead_in, radius, half_crest, pitch, fall, lead)
+        phase = phase + form.middle_mm
+        return cls(
+            x, y, s, dx, dy, ds, across, phase, lead_in, common + extra, root + extra, half_crest, pitch, fall, lead
+        )  # fmt: skip
 
-    def ridge(self, envelope: Array, shallow: Mask) -> Array:
-        """Number (N,) of the ridge that each ray meets; `envelope` (N,) is where it enters crest, lead-in and tip.
+    def ridge(self, envelope: Array) -> tuple[Array, Array]:
+        """Number (N,) of the ridge that each ray meets, and the slope of its flank there: FLANK the upper, -FLANK the
+        lower one. `envelope` (N,) is where the ray enters crest, lead-in and tip.
 
-        A ray that comes down on the thread meets the ridge it is in when it enters the envelope, or the next below.
-        That does not depend on the measured depth, whose noise on a crest seen at a grazing angle reaches from one
-        ridge to the next. A shallow ray may meet either flank of a valley: the ridge nearest to the measured point.
+        A ray that enters beside a ridge comes down in a valley, between the lower flank of the ridge above and the
+        upper flank of the one below, and meets the one that closes first. That does not depend on the measured depth,
+        whose noise on a crest seen at a grazing angle reaches from one ridge to the next.
         """
-        at = np.where(shallow | ~np.isfinite(envelope), 0.0, envelope)
+        at = np.where(np.isfinite(envelope), envelope, 0.0)
         x, y = self.x + at * self.dx, self.y + at * self.dy
+        r = np.maximum(np.sqrt(x * x + y * y), 0.05)
         turns = (self.s + at * self.ds - self.phase - self.lead * np.arctan2(y, x)) / self.pitch
-        half = (self.half_crest + (self.radius - np.sqrt(x * x + y * y)) / FLANK) / self.pitch
-        return np.where(shallow, np.rint(turns), np.floor(turns + np.maximum(half, 0.0)))
+        nearest = np.rint(turns)
+        off = turns - nearest
+        half = (self.half_crest + (self.radius - r) / FLANK) / self.pitch
+        along = self.ds - self.lead * (x * self.dy - y * self.dx) / r**2
+        steep = along / np.minimum((x * self.dx + y * self.dy) / r, -1e-6)
+        above, below = np.where(off > 0.0, 1.0 - off, -off) - half, np.where(off > 0.0, off, 1.0 + off) - half
+        # each flank is met at the depth: room over how fast it closes, 1 / FLANK less or more than the ray descends
+        up = above * (1.0 / FLANK + steep) < below * (1.0 / FLANK - steep)
+        beside = np.abs(off) > half
+        valley = np.where(off > 0.0, nearest, nearest - 1.0) + up
+        return np.where(beside, valley, nearest), np.where(beside & up, -FLANK, FLANK)
 
-    def crest_entry(self) -> Array:
-        """Where the ray enters r = R; infinite where it passes beside."""
+    def cylinder_entry(self, radius: Array) -> Array:
+        """Where the ray enters r = `radius` (N,); infinite where it passes beside."""
         a, b = self.across**2, self.x * self.dx + self.y * self.dy
-        square = b * b - a * (self.x**2 + self.y**2 - self.radius**2)
+        square = b * b - a * (self.x**2 + self.y**2 - radius**2)
         root = np.sqrt(np.maximum(square, 0.0))
         entry = np.where(a > 1e-12, (-b - root) / np.maximum(a, 1e-12), -np.inf)
         return np.asarray(np.where(square > 0, entry, np.inf))
@@ -178,8 +200,8 @@ class _Track:
         inside = (square > 0) & (b < 0.9 * root) & (room - entry * self.fall * self.ds > 0.0)
         return np.asarray(np.where(inside, entry, -np.inf))
 
-    def flank_entry(self, ridge: Array, sign: float) -> tuple[Array, Array]:
-        """Entry into the half space of a flank near the measured point, -inf where the ray leaves it, and its phi."""
+    def flank_entry(self, ridge: Array, sign: Array) -> tuple[Array, Array]:
+        """Entry into the half space of each ray's flank near the measured point, -inf where it leaves it; its phi."""
         offset = self.phase + ridge * self.pitch
         level = FLANK * self.half_crest + self.radius
         at = np.zeros(len(self.x))
@@ -201,7 +223,7 @@ class _Track:
         at = np.where(np.isfinite(ahead), ahead, 0.0)
         x, y, s = self.x + at * self.dx, self.y + at * self.dy, self.s + at * self.ds
         r = np.maximum(np.sqrt(x * x + y * y), 0.05)
-        lead_in, tip = met == LEAD_IN, met == TIP
+        lead_in, tip, root = met == LEAD_IN, met == TIP, met == ROOT
         sign = np.where(met == UPPER, FLANK, np.where(met == LOWER, -FLANK, 0.0))
         radial = np.where(tip, 0.0, 1.0)
         turn = sign * self.lead / r**2
@@ -215,9 +237,10 @@ class _Track:
         columns[2], columns[3] = (s * gx - x * gs) * scale, (s * gy - y * gs) * scale
         columns[4] = sign * scale
         columns[5] = np.where(lead_in, self.fall, 0.0) * scale
-        columns[OWN + RADIUS] = radial * scale
+        columns[OWN + RADIUS] = np.where(root, 0.0, radial) * scale
         columns[OWN + CREST_WIDTH] = np.abs(sign) * scale
         columns[OWN + PITCH] = columns[4] * (self.lead / self.pitch * angle + ridge) if len(ridge) else 0.0
         columns[OWN + FALL] = np.where(lead_in, self.lead_in - s, 0.0) * scale
+        columns[OWN + ROOT_RADIUS] = np.where(root, scale, 0.0)
         cosine = np.abs(slope) / np.sqrt(gx**2 + gy**2 + gs**2)
         return Depths(ahead, met, columns, cosine, self.radius - r)
