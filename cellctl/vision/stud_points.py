@@ -26,13 +26,15 @@ LEAST_IN_CORE = 12
 @dataclass(frozen=True, slots=True)
 class Near:
     """Rays sorted by stud, the pixel (N,) each came from (None for an unorganised cloud), first row of each stud
-    (n + 1,), tips (n,) above the face, middles (n, 2) of the ends, the common radius and what each has over it (n,)."""
+    (n + 1,), tips (n,) above the face, middles (n, 2) of the ends, where the axes were expected (n, 2), the common
+    radius and what each has over it (n,)."""
 
     rays: Rays
     pixels: Indices | None
     starts: Indices
     tips: Array
     middles: Array
+    expected: Array
     radius_mm: float
     extra_mm: Array
 
@@ -46,8 +48,9 @@ class Near:
         empty = self.rays.take(slice(0, 0))
         one = slice(index, index + 1)
         return Near(
-            empty, None, np.zeros(2, np.intp), self.tips[one], self.middles[one], self.radius_mm, self.extra_mm[one]
-        )
+            empty, None, np.zeros(2, np.intp), self.tips[one], self.middles[one], self.expected[one],
+            self.radius_mm, self.extra_mm[one],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +97,7 @@ def gather(local: Array, pixels: Indices | None, centres: Array, part: Part, eye
     rays /= np.sqrt(np.einsum("in,in->n", rays, rays))
     starts = np.searchsorted(stud, np.arange(len(centres) + 1))
     chosen = pixels[rows] if pixels is not None else None
-    return Near(Rays(points, rays, stud), chosen, starts, tips, middles, radius, extra)
+    return Near(Rays(points, rays, stud), chosen, starts, tips, middles, centres, radius, extra)
 
 
 def _around(local: Array, centres: Array, reach: float) -> _Around:

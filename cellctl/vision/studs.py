@@ -19,7 +19,7 @@ from cellctl.vision.thread_vote import ThreadVote, check_vote, shows, vote
 
 AXIS_PRIOR_DEG = 0.03
 """One sigma of a stud's lean against the face's normal: a tapped hole's perpendicularity, with room to spare."""
-MIN_POINTS = 8
+MIN_POINTS = 12
 """Fewer points on a stud's thread and lead-in do not fix its axis."""
 MIN_SHARE = 0.5
 """A smaller share of the points around a stud that fit it means that it is something else."""
@@ -134,7 +134,7 @@ def _fit(
     if ballot is None:
         spread[1:3] = 1e-6
     priors = Priors(np.array([2.0, 2.0, lean, lean, np.inf, 1.0]), spread)
-    start = Start(own, shared, priors, form)
+    start = Start(own, shared, priors, form, near.expected)
     return solve(near.rays, start, pixels=near.pixels, shape=shape), form, ballot
 
 

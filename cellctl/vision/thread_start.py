@@ -25,12 +25,21 @@ POOR_SHARE = 0.7
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where the fit begins: `own` (n, OWN), `shared` (SHARED,), what is known of them, and the thread's form."""
+    """Where the fit begins: `own` (n, OWN), `shared` (SHARED,), what is known of them, and the thread's form.
+
+    `expected_mm` (n, 2) are the studs' nominal places, up to a motion of all together; None for a stud by itself.
+    """
 
     own: Array
     shared: Array
     priors: Priors
     form: Form
+    expected_mm: Array | None = None
+
+    def only(self, chosen: NDArray[np.bool_], shared: Array) -> Start:
+        """Some of the studs (n,), beside shared parameters at hand."""
+        form = replace(self.form, tip_mm=self.form.tip_mm[chosen], extra_mm=self.form.extra_mm[chosen])
+        return replace(self, own=self.own[chosen], shared=shared, form=form)
 
 
 def seekers(rays: Rays) -> Rays:
@@ -46,7 +55,8 @@ def near(rays: Rays, start: Start) -> tuple[Array, Array, NoiseLaw]:
     own, shared, law = _tried_again(some, start, own, shared, law)
     own, shared, law = _other_radius(some, start, own, shared, law)
     law = learn(depths(some, own, shared, start.form), law, shared)
-    return approach(some, start, own, shared, 0.0, law=law, rounds=3, held=0)
+    own, shared, law = approach(some, start, own, shared, 0.0, law=law, rounds=3, held=0)
+    return _tried_again(some, start, own, shared, law)
 
 
 def thinned(stud: NDArray[np.intp], most: int) -> NDArray[np.intp]:
@@ -89,16 +99,39 @@ def rows_of(met: Depths, sigmas: Array) -> Array:
 
 
 def _tried_again(rays: Rays, start: Start, own: Array, shared: Array, law: NoiseLaw) -> tuple[Array, Array, NoiseLaw]:
-    """Studs that do not fit, once more from the phase that fits best beside the sizes which the others found."""
-    before = _misfit(rays, own, shared, start.form, law)
-    poor = before > 1.0 - POOR_SHARE
+    """Studs that do not fit, once more from other places and phases beside the sizes which the others found."""
+    misfits = _misfit(rays, own, shared, start.form, law)
+    poor = misfits > 1.0 - POOR_SHARE
     if not poor.any() or not start.form.hand:
         return own, shared, law
-    again = np.where(poor[:, None], start.own, own)
-    again[:, 4] = np.where(poor, best_phase(rays, again, shared, start.form, steps=32), own[:, 4])
-    again, _, _ = approach(rays, start, again, shared, 0.1, held=16)
-    better = _misfit(rays, again, shared, start.form, law) < before
-    return approach(rays, start, np.where(better[:, None], again, own), shared, 0.0, law=law, held=0)
+    rows = np.flatnonzero(poor[rays.stud])
+    some = Rays(rays.points[:, rows], rays.directions[:, rows], (np.cumsum(poor) - 1)[rays.stud[rows]])
+    part = start.only(poor, shared)
+    best, least = own[poor], misfits[poor]
+    for places in _other_places(start, own, poor):
+        trial = part.own.copy()
+        trial[:, :2] = places
+        trial[:, 4] = best_phase(some, trial, shared, part.form, steps=32)
+        trial, _, _ = approach(some, part, trial, shared, 0.1, held=16)
+        misfit_now = _misfit(some, trial, shared, part.form, law)
+        best = np.where((misfit_now < least)[:, None], trial, best)
+        least = np.minimum(least, misfit_now)
+    own = own.copy()
+    own[poor] = best
+    return approach(rays, start, own, shared, 0.0, law=law, rounds=6, held=0)
+
+
+def _other_places(start: Start, own: Array, poor: NDArray[np.bool_]) -> list[Array]:
+    """Places (k, 2) at which the poor studs may stand: where they began, and where the others say that they are."""
+    places = [start.own[poor, :2]]
+    if start.expected_mm is not None and np.count_nonzero(~poor) >= 3:
+        # similarity z -> a z + b in the complex plane, least squares over the studs that fit
+        nominal = start.expected_mm[:, 0] + 1j * start.expected_mm[:, 1]
+        found = own[~poor, 0] + 1j * own[~poor, 1]
+        design = np.column_stack([nominal[~poor], np.ones(len(found))])
+        moved = np.column_stack([nominal, np.ones(len(nominal))]) @ np.linalg.lstsq(design, found, rcond=None)[0]
+        places.append(np.column_stack([moved.real, moved.imag])[poor])
+    return places
 
 
 def _other_radius(rays: Rays, start: Start, own: Array, shared: Array, law: NoiseLaw) -> tuple[Array, Array, NoiseLaw]:

@@ -46,6 +46,7 @@ class Tally:
     found: int = 0
     invented: int = 0
     refused: list[str] = field(default_factory=list)
+    missed: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: Sequence[float] | Array) -> None:
         """Errors over their bound."""
@@ -55,7 +56,7 @@ class Tally:
         """Plain data: rms of each z with its 95 % interval."""
         ratios = {name: interval(np.array(values)) for name, values in sorted(self.z.items())}
         counts = {"clouds": self.clouds, "studs": self.studs, "found": self.found, "invented": self.invented}
-        return counts | {"refused": self.refused, "rms_over_bound": ratios}
+        return counts | {"refused": self.refused, "missed": self.missed, "rms_over_bound": ratios}
 
 
 def interval(z: Array) -> dict[str, float]:
@@ -91,7 +92,12 @@ def flange(seed: int, points: int, tally: Tally, errors: Errors | None = None) -
     except Refused as refused:
         tally.refused.append(f"seed {seed}: {refused}")
         return
+    found = tally.found
     compare(scene, measured, scene_bound(scene, *traced, good=good), tally)
+    if tally.found - found < len(scene.bolts):
+        reasons = [f"{feature.index} ({feature.reason})" for feature in measured.features if not feature.found]
+        pixels = np.bincount(traced[1][traced[1] >= 0], minlength=len(scene.bolts))
+        tally.missed.append(f"seed {seed}: {', '.join(reasons)}; {pixels.min()} to {pixels.max()} pixels a stud")
 
 
 def compare(scene: Scene, measured: PartMeasurement, bound: Bound, tally: Tally) -> None:
