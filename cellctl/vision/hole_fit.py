@@ -29,10 +29,10 @@ from cellctl.vision.hole_model import (
 )
 from cellctl.vision.plane import TUKEY, robust_sigma
 
-TILT_PRIOR_RAD = np.radians(0.03)  # machined holes stand square to their face
+TILT_PRIOR_RAD = np.radians(0.02)  # machined holes stand square to their face
 SIZE_PRIOR_MM = 0.03  # holes drawn alike differ by what tools and tolerances allow
 LEAST_ALIKE = 4
-PRIOR_DEGREES = 4.0  # what is known beforehand weighs as much as four measured values
+PRIOR_DEGREES = 2.0  # what is known beforehand weighs as much as two measured values
 EM_ROUNDS = 40
 SLOPE_PRIOR = 1e-3  # long-wave ripple of the scanner tilts the neighbourhood of one hole
 LIFT_PRIOR_MM = 0.01
