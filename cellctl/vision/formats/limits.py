@@ -39,10 +39,13 @@ def ends_with_a_line(body: bytes) -> None:
         raise ValueError("truncated: the last line does not end")
 
 
-def ends_here(left: int, record: int) -> None:
-    """`left` bytes behind the data hold no further record: a header that announces too few points would hide some."""
-    if left >= max(record, 2):
-        raise ValueError(f"{left} bytes follow the announced points")
+def ends_here(rest: memoryview, record: int) -> None:
+    """No further record follows the data: a header that announces too few points would hide some.
+
+    Zeros may follow, because the Point Cloud Library fills whole pages.
+    """
+    if len(rest) >= max(record, 2) and np.frombuffer(rest, dtype=np.uint8).any():
+        raise ValueError(f"{len(rest)} bytes follow the announced points")
 
 
 def xyz_places(names: Sequence[str]) -> tuple[int, int, int]:

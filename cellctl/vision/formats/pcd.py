@@ -108,7 +108,7 @@ def _binary(body: memoryview, header: _Header) -> Coordinates:
     needed = header.points * record.itemsize
     if len(body) < needed:
         raise ValueError(f"truncated: {needed} bytes announced, {len(body)} found")
-    ends_here(len(body) - needed, record.itemsize)
+    ends_here(body[needed:], record.itemsize)
     rows = np.frombuffer(body, record, header.points)
     return points_of([rows[str(place)][:, 0] for place in header.places])
 
@@ -120,7 +120,7 @@ def _compressed(body: memoryview, header: _Header) -> Coordinates:
     packed, full = (int(value) for value in np.frombuffer(body[:8], "<u4"))
     if len(body) < 8 + packed or full != header.points * sum(header.sizes):
         raise ValueError("truncated: the compressed data does not have the announced size")
-    ends_here(len(body) - 8 - packed, sum(header.sizes))
+    ends_here(body[8 + packed :], sum(header.sizes))
     data = lzf_decompress(bytes(body[8 : 8 + packed]), full)
     starts = np.cumsum([0, *header.sizes]) * header.points
     return points_of([_first(data, header, place, int(starts[place])) for place in header.places])

@@ -136,7 +136,7 @@ def _binary(body: memoryview, elements: list[_Element], order: str) -> Coordinat
             rows = np.frombuffer(body, layout, element.count, offset)
             points = points_of([rows[str(place)] for place in places])
         offset += element.count * record
-    ends_here(len(body) - offset, record)
+    ends_here(body[offset:], record)
     return points
 
 
