@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cellctl.vision.geometry import Array, PlaneFrame
 from cellctl.vision.grid import Void, find_islands, find_voids, rasterise, spacing
@@ -16,6 +18,9 @@ from cellctl.vision.plane import Plane, find_planes
 RANSAC_POINTS = 20_000
 MAX_NOISE_MM = 0.5
 CELLS_PER_SPACING = 1.6
+LEAST_DISTANCE_MM = 100.0
+CLEAR_SIDE, SIDE_POINTS = 5.0, 200_000
+"""Standard deviations by which the holes tell the side, and how many points are looked at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +35,9 @@ class Face:
     pattern: PatternPose
 
 
-def find_face(points: Array, part: Part, eye: Array, reference: Array, rng: np.random.Generator) -> Face:
-    """The face among clutter in points (N, 3), all finite. `eye` (3,) is the side it is seen from, `reference` (3,)
-    the direction that a clocking of 0 is nearest to.
+def find_face(points: Array, part: Part, eye: Array | None, reference: Array, rng: np.random.Generator) -> Face:
+    """The face among clutter in points (N, 3), all finite. `eye` (3,) is the side it is seen from, None where only the
+    points can tell; `reference` (3,) the direction that a clocking of 0 is nearest to.
 
     Raises Refused: face_not_found, too_noisy, too_coarse, features_missing, pattern_ambiguous.
     """
@@ -60,11 +65,45 @@ def find_face(points: Array, part: Part, eye: Array, reference: Array, rng: np.r
     return best
 
 
-def _try_plane(points: Array, plane: Plane, part: Part, eye: Array, reference: Array) -> Face | None:
-    """The plane with the pattern on it, None where no pattern shows."""
-    toward = plane.normal if plane.residuals(eye) > 0.0 else -plane.normal
-    frame = PlaneFrame.on(plane.normal * plane.distance_mm, toward)
-    height = (points - frame.origin) @ toward
+def _try_plane(points: Array, plane: Plane, part: Part, eye: Array | None, reference: Array) -> Face | None:
+    """The plane with the pattern on it, None where no pattern shows.
+
+    Where nobody knows the eye, the origin is tried first, as in a scanner's own frame; the points have the last word.
+    """
+    height = plane.residuals(points)
+    toward = 1.0 if plane.residuals(np.zeros(3) if eye is None else eye) > 0.0 else -1.0
+    refusal: Refused | None = None
+    unsure: Face | None = None
+    for side in (toward, -toward) if eye is None else (toward,):
+        try:
+            face = _try_side(points, side * height, plane, side, part, reference)
+        except Refused as error:
+            refusal = refusal or error
+            continue
+        if eye is not None:
+            return face
+        if face is None:
+            continue
+        front = np.inf if part.feature == "stud" else _seen_in_front(points, side * height, face, part)
+        if front > CLEAR_SIDE:
+            return face
+        unsure = unsure or (face if front > -CLEAR_SIDE else None)
+    if unsure is not None and not before_the_eye(unsure.frame, np.zeros(3)):
+        refusal, unsure = Refused("pattern_ambiguous", "nothing shows from which side the face was seen"), None
+    if unsure is None and refusal is not None:
+        raise refusal
+    return unsure
+
+
+def before_the_eye(frame: PlaneFrame, eye: Array) -> bool:
+    """Whether a scanner at `eye` (3,) could look at the face of this frame: from well before it, not from aside."""
+    u, v, height = frame.into(eye)
+    return bool(height > LEAST_DISTANCE_MM and np.hypot(u, v) < height)
+
+
+def _try_side(points: Array, height: Array, plane: Plane, side: float, part: Part, reference: Array) -> Face | None:
+    """The pattern on a plane seen from one side; `height` (N,) is above it, towards the eye."""
+    frame = PlaneFrame.on(plane.normal * plane.distance_mm, side * plane.normal)
     on = np.abs(height) < 5.0 * plane.sigma_mm
     if np.count_nonzero(on) < 100:
         return None
@@ -83,6 +122,22 @@ def _try_plane(points: Array, plane: Plane, part: Part, eye: Array, reference: A
         return None
     pattern = _nearest_to(pattern, frame, part, reference)
     return Face(plane, _pattern_frame(frame, pattern), space, _matched_radii(part, pattern, positions, radii), pattern)
+
+
+def _seen_in_front(points: Array, height: Array, face: Face, part: Part) -> float:
+    """How surely what shows in the holes lies behind the face, in standard deviations; negative where it lies before.
+
+    A hole shows its wall, its bottom or what stands behind the part; nothing of it stands before the face. Wrong
+    depths fall on both sides alike, so that their difference is a random walk.
+    """
+    deepest = max(part.depth_mm or 0.0, 3.0 * float(face.radii_mm.max()))
+    off = np.flatnonzero((np.abs(height) > 6.0 * face.plane.sigma_mm) & (np.abs(height) < deepest))
+    off = off[:: max(1, len(off) // SIDE_POINTS)]
+    local = face.frame.into(points[off])
+    query = cKDTree(nominal(part)).query(local[:, :2])
+    inside = np.asarray(query[0]) < face.radii_mm[np.asarray(query[1])] + 0.5 * face.spacing_mm
+    behind, before = int((local[inside, 2] < 0.0).sum()), int((local[inside, 2] > 0.0).sum())
+    return (behind - before) / math.sqrt(max(behind + before, 1))
 
 
 def _holes(uv: Array, part: Part, space: float) -> list[Void]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from cellctl.vision import outliers
 from cellctl.vision.cloud import as_cloud
-from cellctl.vision.face import Face, find_face
+from cellctl.vision.face import Face, before_the_eye, find_face
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
 from cellctl.vision.holes import Hole, Sight, measure_holes
 from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused
@@ -36,6 +36,8 @@ class Gates:
 
 
 DEFAULT_GATES = Gates()
+USUAL_DISTANCE_MM = 400.0
+"""Of a structured-light scanner."""
 
 
 def measure_part(
@@ -54,19 +56,27 @@ def measure_part(
     pinhole = viewpoint(grid) if cloud.organised else None
     flat = grid.reshape(-1, 3)
     flat = flat[np.isfinite(flat[:, 0])].astype(np.float64)
-    eye = np.zeros(3) if pinhole is None else pinhole
+    eye = np.zeros(3) if pinhole is None and T_frame_scanner is not None else pinhole
     reference = np.array([1.0, 0.0, 0.0]) if T_frame_scanner is None else T_frame_scanner[0, :3]
     found = find_face(flat, part, eye, reference, np.random.default_rng(seed))
+    # Without rays or a pose nothing says where the scanner stood.
+    seen_from = np.full(3, np.nan) if eye is None else eye
+    eye = _likely_eye(found) if eye is None else eye
     local = found.frame.into(flat)
     face = _refit_face(flat, local, found, part, eye)
     frame = PlaneFrame.on(_onto(face, found.frame.origin), face.normal, found.frame.axes[0])
-    features = _features(grid, flat, face, frame, found, part, pinhole)
+    features = _features(grid, flat, face, frame, found, part, pinhole, eye)
     fitted = _fit_pattern(features, frame, part)
-    # Without rays or a pose nothing says where the scanner stood.
-    seen_from = eye if pinhole is not None or T_frame_scanner is not None else np.full(3, np.nan)
     quality = _quality(face, frame, local, found, features, fitted, part, seen_from)
     _check(quality, features, part, gates)
     return _assemble(features, face, frame, fitted, part, quality, T_frame_scanner)
+
+
+def _likely_eye(found: Face) -> Array:
+    """Where the scanner of a list of points may have stood: at the origin where that could see the face."""
+    if before_the_eye(found.frame, np.zeros(3)):
+        return np.zeros(3)
+    return found.frame.out(np.array([0.0, 0.0, USUAL_DISTANCE_MM]))
 
 
 def _onto(face: FaceFit, point: Array) -> Array:
@@ -85,11 +95,12 @@ def _refit_face(flat: Array, local: Array, found: Face, part: Part, eye: Array) 
 
 
 def _features(
-    grid: Points, flat: Array, face: FaceFit, frame: PlaneFrame, found: Face, part: Part, pinhole: Array | None
-) -> tuple[FeatureFit, ...]:
+    grid: Points, flat: Array, face: FaceFit, frame: PlaneFrame, found: Face, part: Part, pinhole: Array | None,
+    eye: Array,
+) -> tuple[FeatureFit, ...]:  # fmt: skip
     """Every feature of the part, in the cloud's frame."""
     if part.feature == "stud":
-        return measure_studs(grid, face, part, pose(frame.axes.T, frame.origin), viewpoint=pinhole)
+        return measure_studs(grid, face, part, pose(frame.axes.T, frame.origin), viewpoint=eye)
     local = frame.into(flat)
     holes = measure_holes(local, part, found.radii_mm, _sight(grid, local, frame, face, found, part, pinhole))
     return tuple(_feature(index, hole, frame, face) for index, hole in enumerate(holes))

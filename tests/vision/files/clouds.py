@@ -253,7 +253,9 @@ def too_noisy(rng: Rng) -> File:
     scene = some_scene(rng)
     sigma = float(rng.uniform(1.0, 3.0))
     noisy = scene.grid + rng.normal(0.0, sigma, scene.grid.shape)
-    return file_of(rng, f"noise of {sigma:.1f} mm", scene, noisy if rng.random() < 0.5 else noisy.reshape(-1, 3), "refused")
+    return file_of(
+        rng, f"noise of {sigma:.1f} mm", scene, noisy if rng.random() < 0.5 else noisy.reshape(-1, 3), "refused"
+    )
 
 
 def noisy(rng: Rng) -> File:
@@ -316,7 +318,9 @@ def other_count(rng: Rng) -> File:
     room = np.pi * part.circle_diameter_mm / (1.3 * max(part.chamfer_diameter_mm or 0.0, *(part.diameter_mm or ())))
     counts = [k for k in counts if k < room]
     count = int(rng.choice(counts))
-    other = replace(part, angles_deg=drawn_angles(rng, count, "equal"), diameter_mm=(part.diameter_mm or ())[:1] * count)
+    other = replace(
+        part, angles_deg=drawn_angles(rng, count, "equal"), diameter_mm=(part.diameter_mm or ())[:1] * count
+    )
     return another(rng, f"{count} for {n} features", part, other)
 
 

@@ -54,7 +54,7 @@ class Answer:
 
     @property
     def word(self) -> str:
-        """"pose", "unreadable", or the code of the refusal."""
+        """ "pose", "unreadable", or the code of the refusal."""
         if self.code == 0:
             return "pose"
         return str(self.document.get("refused", {}).get("code", "unreadable"))
