@@ -241,7 +241,7 @@ def no_part(rng: Rng) -> File:
     elif kind == 3:
         points = rng.uniform(-150.0, 150.0, (n, 3))
     elif kind == 4:
-        points = np.outer(rng.uniform(-150, 150, n), orientation(rng)[0]) + [0.0, 0.0, 350.0]
+        points = np.array([0.0, 0.0, 350.0]) + np.outer(rng.uniform(-150, 150, n), orientation(rng)[0])
     else:
         rho = rng.uniform(50.0, 140.0, n)
         points = np.column_stack([rho * np.cos(around), rho * np.sin(around), np.full(n, 350.0)])
