@@ -13,7 +13,7 @@ from cellctl.vision.geometry import Array, PlaneFrame
 from cellctl.vision.grid import Void, find_islands, find_voids, rasterise, spacing
 from cellctl.vision.holes import void_radii
 from cellctl.vision.part import Part, Refused
-from cellctl.vision.pattern import PatternPose, find_pattern, nominal, symmetry
+from cellctl.vision.pattern import PatternPose, blind_to_sizes, find_pattern, nominal, symmetry
 from cellctl.vision.plane import Plane, find_planes
 
 RANSAC_POINTS = 12_000
@@ -165,10 +165,13 @@ def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part
     # chance voids are small: a large one weighs more, up to the usual size
     scores = np.array([void.score for void in voids]) * np.minimum(1.0, radii / np.quantile(radii, 0.75)) ** 2
     tolerance = max(0.006 * part.circle_diameter_mm, 2.0 * space)
-    pattern = find_pattern(part, positions, radii, scores, tolerance)
+    # where only sizes tell the clocking, walls tell it later: what the face shows of a size is torn and chamfered
+    blind = blind_to_sizes(part)
+    pattern = find_pattern(blind, positions, radii, scores, tolerance)
     if pattern is None or pattern.matched < max(3, int(np.ceil(0.5 * part.count))):
         return None
-    pattern = _nearest_to(pattern, frame, part, reference)
+    _refuse_further(part, pattern, positions, radii, scores, tolerance)
+    pattern = _nearest_to(pattern, frame, blind, reference)
     radii = _matched_radii(part, pattern, positions, radii)
     return Face(plane, _pattern_frame(frame, pattern), space * float(np.sqrt(thinned.share)), radii, pattern)
 
@@ -210,6 +213,29 @@ def _studs(local: Columns, part: Part, space: float) -> list[Void]:
     return [void for void in find_islands(raster, least=6) if void.radius_mm < 1.5 * size]
 
 
+def _refuse_further(
+    part: Part, pattern: PatternPose, positions: Array, radii: Array, scores: Array, tolerance_mm: float
+) -> None:
+    """Refuse (wrong_part) a circle that carries further features like those of the pattern between its places."""
+    places = _placed(part, pattern)
+    distance = np.hypot(*(positions[:, None] - places[None]).transpose(2, 0, 1)).min(axis=1)
+    met = distance < tolerance_mm
+    if not met.any():
+        return
+    size, score = np.median(radii[met]), np.median(scores[met])
+    on = np.abs(np.hypot(*(positions - pattern.centre_mm).T) - 0.5 * part.circle_diameter_mm) < tolerance_mm
+    alike = (np.abs(radii - size) < 0.2 * size) & (scores > 0.8 * score)
+    further = int(np.count_nonzero(on & alike & (distance > tolerance_mm + size)))
+    if further >= max(2.0, 0.25 * part.count):
+        raise Refused("wrong_part", f"{further} further features stand on the circle of {part.count}")
+
+
+def _placed(part: Part, pattern: PatternPose) -> Array:
+    """Nominal places (n, 2) in the plane's coordinates."""
+    c, s = np.cos(pattern.clocking_rad), np.sin(pattern.clocking_rad)
+    return np.asarray(pattern.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]]))
+
+
 def _nearest_to(pattern: PatternPose, frame: PlaneFrame, part: Part, reference: Array) -> PatternPose:
     """The same pose with the clocking, free by the pattern's symmetry, that lies nearest to the reference direction."""
     u, v, _ = frame.axes @ reference
@@ -228,8 +254,7 @@ def _pattern_frame(frame: PlaneFrame, pattern: PatternPose) -> PlaneFrame:
 
 def _matched_radii(part: Part, pattern: PatternPose, positions: Array, radii: Array) -> Array:
     """Radius of the void at each nominal place: the one seen there, else what the recipe or the others say."""
-    c, s = np.cos(pattern.clocking_rad), np.sin(pattern.clocking_rad)
-    places = pattern.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]])
+    places = _placed(part, pattern)
     distance = np.hypot(*(places[:, None] - positions[None]).transpose(2, 0, 1))
     nearest = distance.argmin(axis=1)
     seen = np.where(distance[np.arange(part.count), nearest] < radii[nearest], radii[nearest], np.nan)

@@ -87,8 +87,8 @@ def hole_part(rng: np.random.Generator, kind: str | None = None) -> Part:
         feature="hole", circle_diameter_mm=circle, angles_deg=drawn_angles(rng, count, kind),
         index_feature=None if kind == "equal" else 0, diameter_mm=tuple(map(float, sizes)), chamfer_diameter_mm=mouth,
         chamfer_angle_deg=float(rng.uniform(30.0, 50.0)) if mouth else None,
-        depth_mm=float(rng.uniform(1.4, 2.5) * size), face_inner_diameter_mm=inner, face_outer_diameter_mm=outer, ledge_step_mm=float(rng.uniform(2.0, 6.0)),
-        flatness_limit_mm=0.05,
+        depth_mm=float(rng.uniform(1.4, 2.5) * size), face_inner_diameter_mm=inner, face_outer_diameter_mm=outer,
+        ledge_step_mm=float(rng.uniform(2.0, 6.0)), flatness_limit_mm=0.05,
     )  # fmt: skip
 
 
