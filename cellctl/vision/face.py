@@ -18,10 +18,10 @@ from cellctl.vision.plane import Plane, find_planes
 
 RANSAC_POINTS = 12_000
 MAX_NOISE_MM = 0.5
-CELLS_PER_SPACING = 1.6
 LEAST_DISTANCE_MM = 100.0
 CLEAR_SIDE, SIDE_POINTS = 5.0, 200_000
 """Standard deviations by which the holes tell the side, and how many points are looked at."""
+CELLS_PER_SPACING, CELLS_PER_RADIUS = 1.6, 4.0
 THINNED_POINTS = 120_000
 """As many points show where the face and its pattern are; finer sampling serves the fits."""
 
@@ -177,8 +177,8 @@ def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part
 
 
 def _fine_enough(part: Part, cell_mm: float) -> bool:
-    """Whether a raster with such cells shows the part's features: a hole's radius is at least three cells."""
-    return part.feature == "hole" and 3.0 * cell_mm < float(np.nanmin(void_radii(part)))
+    """Whether a raster with such cells shows the part's features: a hole's radius is at least one and a half cells."""
+    return part.feature == "hole" and 1.5 * cell_mm < float(np.nanmin(void_radii(part)))
 
 
 def _holes(uv: Array, part: Part, space: float, cells: float) -> list[Void]:
@@ -197,8 +197,10 @@ def _holes(uv: Array, part: Part, space: float, cells: float) -> list[Void]:
         radii = np.geomspace(3.0 * space, largest, 9) if largest > 3.0 * space else np.array([largest])
     if float(radii.min()) < 1.6 * space:
         raise Refused("too_coarse", f"point spacing {space:.2f} mm is too coarse for holes of {2 * radii.min():.1f} mm")
-    raster = rasterise(uv, cells * space, margin_mm=float(radii.max()))
-    return find_voids(raster, tuple(float(radius) for radius in radii))
+    cell = min(cells * space, max(float(radii.min()) / CELLS_PER_RADIUS, 0.5 * space))
+    raster = rasterise(uv, cell, margin_mm=float(radii.max()))
+    gap = max(2, int(np.ceil(0.9 * cells * space / cell)))
+    return find_voids(raster, tuple(float(radius) for radius in radii), gap=gap)
 
 
 def _studs(local: Columns, part: Part, space: float) -> list[Void]:

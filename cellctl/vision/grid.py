@@ -24,11 +24,10 @@ class Raster:
     low: Array
     cell_mm: float
 
-    @property
-    def covered(self) -> Bits:
-        """(U, V) which cells hold a point; single empty cells between covered ones count as covered."""
-        square = np.ones((2, 2), dtype=np.bool_)
-        return np.asarray(ndimage.binary_closing(np.pad(self.counts > 0, 1), square)[1:-1, 1:-1])
+    def covered(self, gap: int = 2) -> Bits:
+        """(U, V) which cells hold a point; gaps between covered ones that hold no square of `gap` cells count too."""
+        square = np.ones((gap, gap), dtype=np.bool_)
+        return np.asarray(ndimage.binary_closing(np.pad(self.counts > 0, gap), square)[gap:-gap, gap:-gap])
 
     def position(self, cells: Array) -> Array:
         """Plane coordinates (n, 2) of cell centres (n, 2)."""
@@ -67,13 +66,14 @@ def rasterise(uv: Array, cell_mm: float, margin_mm: float = 0.0) -> Raster:
     return Raster(counts.astype(np.int32), low, cell_mm)
 
 
-def find_voids(raster: Raster, radii_mm: tuple[float, ...], *, score: float = 0.45) -> list[Void]:
-    """Round voids of about one of the radii: an empty disk inside a covered ring, best score first.
+def find_voids(raster: Raster, radii_mm: tuple[float, ...], *, gap: int = 2, score: float = 0.45) -> list[Void]:
+    """Round voids of about one of the radii: an empty disk inside a covered ring, best score first. `gap` as in
+    `Raster.covered`.
 
     A matched filter, so that a hole whose rim is torn open by missing data is still seen; slots and bores, whose
     ring is not covered all around, are not.
     """
-    covered = raster.covered.astype(np.float32)
+    covered = raster.covered(gap).astype(np.float32)
     pad = int(np.ceil(2.0 * max(radii_mm) / raster.cell_mm)) + 2
     shape = [fft.next_fast_len(side + pad, real=True) for side in covered.shape]
     spectrum = fft.rfft2(covered, shape)

@@ -6,7 +6,7 @@ cloud -> planes (eq. 14-18) -> the face, by its pattern -> face refitted -> hole
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -209,6 +209,7 @@ def _feature(index: int, hole: Hole, frame: PlaneFrame, face: FaceFit) -> Featur
         axis_sigma_deg=float(np.degrees(np.sqrt(np.trace(hole.covariance[2:, 2:]) / 2.0))),
         points=hole.points,
         residual_mm=hole.residual_mm,
+        chamfer_radius_mm=hole.chamfer_radius_mm,
     )
 
 
@@ -342,9 +343,9 @@ def _carry_feature(feature: FeatureFit, T: Array) -> FeatureFit:
     if feature.center_mm is None or feature.axis is None or feature.covariance_mm2 is None:
         return feature
     rotation = T[:3, :3]
-    return FeatureFit(
-        index=feature.index, found=True, center_mm=transform(T, feature.center_mm), axis=rotation @ feature.axis,
-        radius_mm=feature.radius_mm, covariance_mm2=rotation @ feature.covariance_mm2 @ rotation.T,
-        axis_sigma_deg=feature.axis_sigma_deg, thread=feature.thread, points=feature.points,
-        residual_mm=feature.residual_mm, reason=feature.reason,
-    )  # fmt: skip
+    return replace(
+        feature,
+        center_mm=transform(T, feature.center_mm),
+        axis=rotation @ feature.axis,
+        covariance_mm2=rotation @ feature.covariance_mm2 @ rotation.T,
+    )

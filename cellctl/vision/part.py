@@ -100,7 +100,8 @@ class ThreadFit:
 class FeatureFit:
     """One hole or stud. `center_mm` is where its axis meets the face plane; None where it was not found.
 
-    `covariance_mm2` (3, 3) is type A, of `center_mm`; `reason` says why it was not found.
+    `covariance_mm2` (3, 3) is type A, of `center_mm`; `reason` says why it was not found. `chamfer_radius_mm` is where
+    the chamfer meets the face, None where none was fitted.
     """
 
     index: int
@@ -114,6 +115,7 @@ class FeatureFit:
     points: int = 0
     residual_mm: float = float("nan")
     reason: str = ""
+    chamfer_radius_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

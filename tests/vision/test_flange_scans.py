@@ -77,4 +77,5 @@ def test_command_on_a_scan(capsys: pytest.CaptureFixture[str], tmp_path: Path) -
     document = json.loads(capsys.readouterr().out)
     assert document["frame"] == "input"
     assert [feature["found"] for feature in document["shaft"]["features"]] == [True] * 5
-    assert "<svg" in view.read_text()
+    page = view.read_text(encoding="utf-8")
+    assert "all 5 holes found" in page and "01_tool_valid.ply" in page
