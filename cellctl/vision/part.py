@@ -19,7 +19,7 @@ class Refused(Exception):
     """The measurement is refused: `code` is stable, `reason` is one sentence. There is never a pose beside it.
 
     Codes: too_few_points, not_finite, wrong_unit, too_coarse, too_noisy, out_of_range, face_not_found, face_warped,
-    features_missing, wrong_part, pattern_ambiguous, thread_wrong, artefact_moved, frames_disagree.
+    features_missing, wrong_part, pattern_ambiguous, thread_wrong, artefact_moved, frames_disagree, not_measurable.
     """
 
     def __init__(self, code: str, reason: str) -> None:
