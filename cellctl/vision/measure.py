@@ -143,17 +143,27 @@ def _centres(features: tuple[FeatureFit, ...], frame: PlaneFrame, part: Part) ->
 
 def _place(scan: Columns, found: Face, part: Part) -> _Places:
     """One look at every point: where on the part it is."""
-    local = scan.into(found.frame)
     reach = reaches(part, found.radii_mm) if part.feature == "hole" else found.radii_mm
     zones = Zones.of(part, found.radii_mm, reach, found.spacing_mm)
-    cells = zones.cells(local.x, local.y)
-    codes = zones.codes.reshape(-1).take(cells)
-    height = np.abs(local.z, out=local.z)
-    on_face = np.flatnonzero((codes >= FACE) & (height < 8.0 * found.plane.sigma_mm + (part.flatness_limit_mm or 0.0)))
-    level = on_face[height[on_face] < 5.0 * found.plane.sigma_mm + 0.01]
-    codes &= FEATURE
-    around = np.flatnonzero(codes) if part.feature == "hole" else np.zeros(0, dtype=np.intp)
-    return _Places(on_face, around, codes[around].astype(np.intp) - 1, zones.coverage(cells[level]))
+    codes = zones.codes.reshape(-1)
+    near, level = 8.0 * found.plane.sigma_mm + (part.flatness_limit_mm or 0.0), 5.0 * found.plane.sigma_mm + 0.01
+    on_face, around, owner, seen = [], [], [], np.zeros(len(codes), dtype=np.intp)
+    for begin, piece in scan.batches():
+        local = piece.into(found.frame)
+        cells = zones.cells(local.x, local.y)
+        code, height = codes.take(cells), np.abs(local.z)
+        rows = np.flatnonzero((code >= FACE) & (height < near))
+        on_face.append(rows + begin)
+        seen += np.bincount(cells[rows[height[rows] < level]], minlength=len(seen))
+        if part.feature == "hole":
+            code &= FEATURE
+            rows = np.flatnonzero(code)
+            around.append(rows + begin)
+            owner.append(code[rows].astype(np.intp) - 1)
+    none = np.zeros(0, dtype=np.intp)
+    return _Places(
+        np.concatenate(on_face), np.concatenate(around or [none]), np.concatenate(owner or [none]), zones.coverage(seen)
+    )
 
 
 def _likely_eye(found: Face) -> Array:
