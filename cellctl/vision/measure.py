@@ -76,10 +76,10 @@ def measure_part(
     seen_from = np.full(3, np.nan) if eye is None else eye
     eye = _likely_eye(found) if eye is None else eye
     blind = blind_to_sizes(part)
-    seen = _sight(grid, scan, found, part, blind, pinhole, eye)
+    seen = _sight(scan, found, part, blind, pinhole, eye)
     if blind is not part:
         found = turned_by_sizes(found, seen.sizes_mm(part), part)
-        seen = _sight(grid, scan, found, part, part, pinhole, eye)
+        seen = _sight(scan, found, part, part, pinhole, eye)
     face, frame = seen.face, seen.frame
     fitted, features = _fit_pattern(seen.features, frame, part)
     _check_part(scan, found, seen, features, part)
@@ -116,15 +116,13 @@ class _Sighting:
         return np.array([np.nan if feature.radius_mm is None else feature.radius_mm for feature in self.features])
 
 
-def _sight(
-    grid: Points, scan: Columns, found: Face, part: Part, alike: Part, pinhole: Array | None, eye: Array
-) -> _Sighting:
+def _sight(scan: Columns, found: Face, part: Part, alike: Part, pinhole: Array | None, eye: Array) -> _Sighting:
     """The face refitted, then every feature on it, measured as those of `alike`."""
     places = _place(scan, found, part)
     face = _refit_face(scan, places, found, part, eye)
     frame = PlaneFrame.on(_onto(face, found.frame.origin), face.normal, found.frame.axes[0])
     if part.feature == "stud":
-        features = measure_studs(grid, face, part, pose(frame.axes.T, frame.origin), viewpoint=eye)
+        features = measure_studs(scan, face, part, pose(frame.axes.T, frame.origin), viewpoint=eye)
         return _Sighting(places, face, frame, features, np.full(part.count, np.nan))
     near = scan.take(places.around).into(frame)
     features = _holes(scan, near, places, face, frame, found, alike, pinhole)
