@@ -27,7 +27,7 @@ from cellctl.vision.face import Face, before_the_eye, find_face
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
 from cellctl.vision.holes import Hole, Sight, measure_holes, reaches
 from cellctl.vision.index import turned_by_sizes
-from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused
+from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused, pivot
 from cellctl.vision.pattern import PatternFit, blind_to_sizes, fit_pattern, symmetry
 from cellctl.vision.plane import fit_face
 from cellctl.vision.shared_noise import on_face as shared_noise
@@ -215,6 +215,7 @@ def _feature(index: int, hole: Hole, frame: PlaneFrame, face: FaceFit) -> Featur
         radius_mm=hole.radius_mm,
         covariance_mm2=frame.axes.T @ covariance @ frame.axes,
         axis_sigma_deg=float(np.degrees(np.sqrt(np.trace(hole.covariance[2:, 2:]) / 2.0))),
+        pivot_mm=pivot(hole.covariance),
         points=hole.points,
         residual_mm=hole.residual_mm,
         chamfer_radius_mm=hole.chamfer_radius_mm,
