@@ -36,12 +36,23 @@ class Rows:
 
 @dataclass(frozen=True)
 class Bound:
-    """One sigma that no estimator beats: shared radius and pitch, each stud's axis (n, 2) at the face, mm, clocking."""
+    """What no estimator beats: one sigma of shared radius, pitch and clocking, covariances (n, 2, 2) of the studs'
+    axes at the face, in the part frame."""
 
     radius_mm: float
     pitch_mm: float
-    place_mm: Array
+    place_covariance_mm2: Array
     clocking_deg: float
+
+    @property
+    def place_mm(self) -> Array:
+        """One sigma (n, 2) of x and y."""
+        return np.sqrt(np.einsum("nkk->nk", self.place_covariance_mm2))
+
+    @property
+    def place_information(self) -> Array:
+        """Inverse covariances (n, 2, 2)."""
+        return np.asarray(np.linalg.inv(self.place_covariance_mm2))
 
 
 def changed(bolt: Bolt, eye: Array, rays: Array, name: str, change: float) -> tuple[Bolt, Array, Array]:
@@ -125,23 +136,22 @@ def scene_bound(
         inverses.append(inverse)
         levers.append(inverse @ border)
     shared = np.linalg.inv(corner - schurs)
-    own_covariances = [i + lever @ shared @ lever.T for i, lever in zip(inverses, levers, strict=True)]
-    place = np.array([np.diag(covariance)[:2] for covariance in own_covariances])
+    place = np.array([(i + lever @ shared @ lever.T)[:2, :2] for i, lever in zip(inverses, levers, strict=True)])
+    _, fisher = pattern_fisher(scene.places, place)
     return Bound(
-        float(np.sqrt(shared[0, 0])),
-        float(np.sqrt(shared[1, 1])),
-        np.sqrt(place),
-        float(np.degrees(_clocking(scene.places, own_covariances))),
+        radius_mm=float(np.sqrt(np.abs(shared[0, 0]))),
+        pitch_mm=float(np.sqrt(shared[1, 1])),
+        place_covariance_mm2=place,
+        clocking_deg=float(np.degrees(np.sqrt(np.linalg.inv(fisher.sum(axis=0))[2, 2]))),
     )
 
 
-def _clocking(places: Array, covariances: list[Array]) -> float:
-    """One sigma in rad of the pattern's turn, its shift free."""
-    fisher = np.zeros((3, 3))
-    for place, covariance in zip(places, covariances, strict=True):
-        design = np.array([[1.0, 0.0, -place[1]], [0.0, 1.0, place[0]]])
-        fisher += design.T @ np.linalg.inv(covariance[:2, :2]) @ design
-    return float(np.sqrt(np.linalg.inv(fisher)[2, 2]))
+def pattern_fisher(places: Array, covariances: Array) -> tuple[Array, Array]:
+    """Design (n, 3, 2) and information (n, 3, 3) of the pattern's x, y, turn in each stud's place (n, 2)."""
+    design = np.zeros((len(places), 3, 2))
+    design[:, 0, 0] = design[:, 1, 1] = 1.0
+    design[:, 2, 0], design[:, 2, 1] = -places[:, 1], places[:, 0]
+    return design, np.einsum("nki,nij,nlj->nkl", design, np.linalg.inv(covariances), design)
 
 
 def close_up_bound(bolt: Bolt, eye: Array, rays: Array, depth: Array, sigmas_mm: Array) -> tuple[float, float]:

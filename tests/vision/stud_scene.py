@@ -95,7 +95,7 @@ def trace(scene: Scene) -> tuple[Array, NDArray[np.intp], Array]:
         first = found < depth[near]
         rows = near[first]
         depth[rows], owner[rows] = found[first], index
-        cosine[rows] = _cosine(bolt, there + found[first, None] * towards[first], towards[first])
+        cosine[rows] = incidence(bolt, there + found[first, None] * towards[first], towards[first])
     return np.where(np.isfinite(depth), depth, np.nan), owner, cosine
 
 
@@ -113,7 +113,7 @@ def _window(scene: Scene, index: int, eye: Array, rays: Array) -> NDArray[np.int
     return (np.arange(r0, r1)[:, None] * scene.pixels + np.arange(c0, c1)).ravel()
 
 
-def _cosine(bolt: Bolt, points: Array, rays: Array) -> Array:
+def incidence(bolt: Bolt, points: Array, rays: Array) -> Array:
     """Cosine of incidence by a numerical gradient of the bolt's height."""
     step = 1e-6
     gradient = np.stack([(bolt.height(points + step * e) - bolt.height(points - step * e)) for e in np.eye(3)], axis=1)
