@@ -50,17 +50,25 @@ def run(args: argparse.Namespace) -> int:
             document["alignment"] = alignment_document(measured["rotor"], measured["shaft"], recipe, calibration)
         if args.view is not None:
             args.view.write_text(_page(looks, recipe, document), encoding="utf-8")
+        answer = json.dumps(document, allow_nan=False) if args.json else _as_text(measured, document)
     except Refused as refused:
-        document = {"refused": {"code": refused.code, "reason": refused.reason}}
-        print(json.dumps(document) if args.json else f"refused ({refused.code}): {refused.reason}")
-        return 3
+        return _refused(refused, args.json)
     except (Unreadable, ConfigError, OSError) as error:
         print(f"cellctl measure: {error}", file=sys.stderr)
         if args.json:
             print(json.dumps({"error": {"code": "unreadable", "reason": str(error)}}))
         return 2
-    print(json.dumps(document, allow_nan=False) if args.json else _as_text(measured, document))
+    except (ArithmeticError, LookupError, MemoryError, ValueError) as error:
+        # a cloud whose numbers defeat the arithmetic is refused like any other that cannot be measured
+        return _refused(Refused("not_measurable", f"the fit breaks down: {type(error).__name__}: {error}"), args.json)
+    print(answer)
     return 0
+
+
+def _refused(refused: Refused, as_json: bool) -> int:
+    document = {"refused": {"code": refused.code, "reason": refused.reason}}
+    print(json.dumps(document) if as_json else f"refused ({refused.code}): {refused.reason}")
+    return 3
 
 
 def _measure(args: argparse.Namespace, recipe: Recipe, calibration: Calibration | None) -> dict[Side, Look]:

@@ -12,6 +12,8 @@ from cellctl.vision.geometry import Array
 
 Bits = NDArray[np.bool_]
 MAX_CELLS = 4096
+MAX_VOIDS = 600
+"""Five times the features of the largest pattern: the pattern is voted for by all pairs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +131,15 @@ def _quality(spectrum: NDArray[np.complex64], shape: list[int], radius: float) -
 
 
 def _best_of_overlapping(voids: list[Void]) -> list[Void]:
-    """Voids that do not overlap a better one."""
+    """Voids that do not overlap a better one; the best `MAX_VOIDS`, because a sieve has thousands."""
+    ordered = sorted(voids, key=lambda item: (-item.score, *item.position_mm))
+    positions = np.array([void.position_mm for void in ordered]).reshape(-1, 2)
+    free = np.ones(len(ordered), dtype=np.bool_)
     kept: list[Void] = []
-    for void in sorted(voids, key=lambda item: (-item.score, *item.position_mm)):
-        if all(np.hypot(*(void.position_mm - other.position_mm)) > other.radius_mm for other in kept):
+    for i, void in enumerate(ordered):
+        if free[i] and len(kept) < MAX_VOIDS:
             kept.append(void)
+            free &= np.hypot(*(positions - void.position_mm).T) > void.radius_mm
     return kept
 
 
@@ -150,4 +156,4 @@ def find_islands(raster: Raster, *, least: int = 3) -> list[Void]:
     order = np.argsort(-points, kind="stable")
     cells = ndimage.sum_labels(raster.counts > 0, labels, index)
     radii = np.sqrt(cells / np.pi) * raster.cell_mm
-    return [Void(raster.position(centres[i]), float(radii[i]), 1.0) for i in order if points[i] >= least]
+    return [Void(raster.position(centres[i]), float(radii[i]), 1.0) for i in order[:MAX_VOIDS] if points[i] >= least]

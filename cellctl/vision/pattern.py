@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,6 +57,19 @@ def symmetry(part: Part) -> int:
         if gap.min(axis=1).max() < 1e-3 and same_size.all():
             return order
     return 1
+
+
+def blind_to_sizes(part: Part) -> Part:
+    """The part with its sizes made alike, or the part itself where places and sizes have the same symmetry."""
+    if (
+        part.feature != "hole"
+        or part.diameter_mm is None
+        or symmetry(replace(part, diameter_mm=None)) == symmetry(part)
+    ):
+        return part
+    if part.chamfer_diameter_mm is None:
+        return replace(part, diameter_mm=None)
+    return replace(part, diameter_mm=(float(np.median(part.diameter_mm)),) * part.count)
 
 
 def find_pattern(part: Part, positions: Array, radii: Array, weights: Array, tolerance_mm: float) -> PatternPose | None:

@@ -7,7 +7,7 @@ import numpy as np
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame, Points
 from cellctl.vision.grid import spacing
-from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit
+from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit, pivot
 from cellctl.vision.pattern import find_pattern, nominal
 from cellctl.vision.stud_points import LEAST_HEIGHT_MM, Near, gather
 from cellctl.vision.stud_tips import find_tips, radius_of, tip_levels
@@ -206,6 +206,7 @@ def _found(
         radius_mm=float(solution.shared[0] + form.extra_mm[index]),
         covariance_mm2=frame.axes.T @ spread @ frame.axes,
         axis_sigma_deg=float(np.degrees(np.sqrt(np.trace(covariance[2:4, 2:4]) / 2.0))),
+        pivot_mm=pivot(covariance[:4, :4]),
         thread=_thread(solution, form, ballot, own),
         points=points,
         residual_mm=residual_mm,
