@@ -43,6 +43,18 @@ struct Result {
     std::vector<Eigen::Vector3d> centres;  // NaN where not found
 };
 
+static double thread_s() {
+    timespec now;
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+    return double(now.tv_sec) + 1e-9 * double(now.tv_nsec);
+}
+
+static void print(const char* name, const std::vector<double>& seconds) {
+    std::printf("\"%s\": [", name);
+    for (std::size_t i = 0; i < seconds.size(); ++i) std::printf("%s%.6f", i ? ", " : "", seconds[i]);
+    std::printf("], ");
+}
+
 static long status_kib(const std::string& key) {
     std::ifstream status("/proc/self/status");
     for (std::string line; std::getline(status, line);)
@@ -237,22 +249,24 @@ int main(int argc, char** argv) {
     const bool sor = std::atoi(argv[5]) != 0, cut = std::atoi(argv[6]) != 0;
     const long before = status_kib("VmRSS:");
     const std::vector<float> raw = read_cloud(argv[1]);
-    std::vector<double> wall, cpu;
+    std::vector<double> wall, cpu, thread;
     Result result;
     long peak = 0;
     for (int i = 0; i < repeats; ++i) {
         const auto begin = std::chrono::steady_clock::now();
         const std::clock_t ticks = std::clock();
+        const double own = thread_s();
         result = measure(raw, job, sor, cut, threads);
+        thread.push_back(thread_s() - own);
         cpu.push_back(double(std::clock() - ticks) / CLOCKS_PER_SEC);
         wall.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
         if (i == 0) peak = status_kib("VmHWM:");
     }
-    std::printf("{\"wall_s\": [");
-    for (int i = 0; i < repeats; ++i) std::printf("%s%.6f", i ? ", " : "", wall[i]);
-    std::printf("], \"cpu_s\": [");
-    for (int i = 0; i < repeats; ++i) std::printf("%s%.6f", i ? ", " : "", cpu[i]);
-    std::printf("], \"peak_mib\": %.2f, ", double(peak - before) / 1024.0);
+    std::printf("{");
+    print("wall_s", wall);
+    print("cpu_s", cpu);
+    print("thread_s", thread);
+    std::printf("\"peak_mib\": %.2f, ", double(peak - before) / 1024.0);
     print(result);
     std::printf("}\n");
     return 0;

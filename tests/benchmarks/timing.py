@@ -107,18 +107,15 @@ def _middle(many: Sequence[Taken]) -> Taken:
 
 def ratios(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Ours on the grid against the fastest library pipeline on the same view, without and with outlier removal."""
+    one_thread = (PCL, OPEN3D, *WITH_SOR)
     found: dict[str, Any] = {}
-    for name, cut, sor in (
-        ("without_sor", False, False), ("with_sor", False, True), ("cut_without_sor", True, False),
-        ("cut_with_sor", True, True),
-    ):  # fmt: skip
-        mine = CUT[0].label if cut else GRID.label
-        rivals = [
-            label for label in rows if not label.startswith("ours") and ("cut" in label, "SOR" in label) == (cut, sor)
-        ]
-        if rivals and mine in rows:
-            fastest = min(rivals, key=lambda label: float(rows[label]["passes"]))
-            found[name] = {"fastest": fastest, "ratio": rows[mine]["passes"] / rows[fastest]["passes"]}
+    for suffix, mine, rivals in (("", GRID, one_thread), ("_2_threads", GRID, TWO_THREADS), ("", CUT[0], CUT[1:])):
+        for sor in (False, True):
+            there = [one.label for one in rivals if one.sor == sor and one.label in rows]
+            if there:
+                fastest = min(there, key=lambda label: float(rows[label]["passes"]))
+                name = f"{'cut_' if mine.cut else ''}{'with' if sor else 'without'}_sor{suffix}"
+                found[name] = {"fastest": fastest, "ratio": rows[mine.label]["passes"] / rows[fastest]["passes"]}
     return found
 
 
