@@ -24,6 +24,7 @@ from cellctl.vision.contradictions import (
     off_place_mm,
 )
 from cellctl.vision.face import Face, before_the_eye, find_face
+from cellctl.vision.flatness import flatness_mm, inside_edges
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
 from cellctl.vision.holes import Hole, Sight, measure_holes, reaches
 from cellctl.vision.index import turned_by_sizes
@@ -48,6 +49,10 @@ class Gates:
 
 
 DEFAULT_GATES = Gates()
+AREA_SAMPLE = 150_000
+"""Points of a scan that are enough to tell how flat the face is."""
+SCANNER_FLATNESS_MM = 0.1
+"""How bent a scanner may show a flat face (VDI/VDE 2634-2): a part that meets its drawing is not refused for it."""
 MAX_SIGMA_MM = 0.2
 """One sigma of the pattern's place, or of its turn along the circle, beyond which there is no pose."""
 USUAL_DISTANCE_MM = 400.0
@@ -91,11 +96,15 @@ def measure_part(
 
 @dataclass(frozen=True, slots=True)
 class _Places:
-    """Which points lie where: rows on the face's own area near its plane, rows around holes and the hole of each."""
+    """Which points lie where: rows on the face's own area near its plane, rows around holes and the hole of each.
+
+    `area` are rows well inside the face's own area, at any height, a sample.
+    """
 
     on_face: NDArray[np.intp]
     around: NDArray[np.intp]
     owner: NDArray[np.intp]
+    area: NDArray[np.intp]
     coverage: float
 
 
@@ -148,12 +157,15 @@ def _place(scan: Columns, found: Face, part: Part) -> _Places:
     zones = Zones.of(part, found.radii_mm, reach, found.spacing_mm)
     cells = zones.cells(local.x, local.y)
     codes = zones.codes.reshape(-1).take(cells)
+    step = max(1, len(codes) // AREA_SAMPLE)
+    area = np.flatnonzero(codes[::step] >= FACE) * step
+    area = area[inside_edges(local.take(area), part, found.radii_mm)]
     height = np.abs(local.z, out=local.z)
     on_face = np.flatnonzero((codes >= FACE) & (height < 8.0 * found.plane.sigma_mm + (part.flatness_limit_mm or 0.0)))
     level = on_face[height[on_face] < 5.0 * found.plane.sigma_mm + 0.01]
     codes &= FEATURE
     around = np.flatnonzero(codes) if part.feature == "hole" else np.zeros(0, dtype=np.intp)
-    return _Places(on_face, around, codes[around].astype(np.intp) - 1, zones.coverage(cells[level]))
+    return _Places(on_face, around, codes[around].astype(np.intp) - 1, area, zones.coverage(cells[level]))
 
 
 def _likely_eye(found: Face) -> Array:
@@ -171,9 +183,15 @@ def _onto(face: FaceFit, point: Array) -> Array:
 def _refit_face(scan: Columns, places: _Places, found: Face, part: Part, eye: Array) -> FaceFit:
     """The face plane from the face alone: inside its rims and clear of the features, whose edges would pull it."""
     face = fit_face(scan.take(places.on_face), found.plane, eye)
-    if part.flatness_limit_mm is not None and face.flatness_mm > 5.0 * part.flatness_limit_mm:
-        raise Refused("face_warped", f"the face is {face.flatness_mm:.3f} mm out of flat")
-    return face
+    area = scan.take(places.area).into(PlaneFrame.on(face.point_mm, face.normal))
+    share = max(1.0, face.points / max(len(area), 1))
+    shared = float(np.sqrt(face.covariance[0, 0] * face.points / share))
+    flatness = flatness_mm(area, face.sigma_mm, shared)
+    if part.flatness_limit_mm is not None and flatness > part.flatness_limit_mm + SCANNER_FLATNESS_MM:
+        raise Refused(
+            "face_warped", f"the face is {flatness:.3f} mm out of flat, the recipe allows {part.flatness_limit_mm:g} mm"
+        )
+    return replace(face, flatness_mm=flatness)
 
 
 def _holes(
