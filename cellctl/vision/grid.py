@@ -44,8 +44,9 @@ class Void:
 
 def spacing(uv: Array, *, coarse_mm: float) -> float:
     """Mean point spacing in mm on a surface of plane coordinates (N, 2), from the density of the covered part."""
-    cells = np.floor((uv - uv.min(axis=0)) / coarse_mm).astype(np.int64)
-    counts = np.bincount(cells[:, 0] * (int(cells[:, 1].max()) + 1) + cells[:, 1])
+    rows, columns = ((side - side.min()) * (1.0 / coarse_mm) for side in np.ascontiguousarray(uv.T))
+    cells = rows.astype(np.int64) * (int(columns.max()) + 1) + columns.astype(np.int64)
+    counts = np.bincount(cells)
     # cells weighted by their points: the rim's cells and strays count little
     mean = float((counts.astype(np.float64) ** 2).sum() / counts.sum())
     return coarse_mm / float(np.sqrt(max(mean, 1e-9)))
@@ -53,14 +54,14 @@ def spacing(uv: Array, *, coarse_mm: float) -> float:
 
 def rasterise(uv: Array, cell_mm: float, margin_mm: float = 0.0) -> Raster:
     """Raster of plane coordinates (N, 2), with an empty margin all around. Strays far out are left away."""
-    low, high = np.percentile(uv[:: max(1, len(uv) // 50_000)], [0.1, 99.9], axis=0)
+    low, high = np.percentile(uv[:: max(1, len(uv) // 20_000)], [0.1, 99.9], axis=0)
     low, high = low - 0.05 * (high - low) - margin_mm, high + 0.05 * (high - low) + margin_mm
     cell_mm = max(cell_mm, float((high - low).max()) / MAX_CELLS)
-    shape = np.ceil((high - low) / cell_mm).astype(np.int64) + 1
-    cells = np.floor((uv - low) / cell_mm).astype(np.int64)
-    inside = ((cells >= 0) & (cells < shape)).all(axis=1)
-    flat = cells[inside, 0] * shape[1] + cells[inside, 1]
-    counts = np.bincount(flat, minlength=int(shape[0] * shape[1])).reshape(int(shape[0]), int(shape[1]))
+    rows, columns = (int(np.ceil(side)) + 1 for side in (high - low) / cell_mm)
+    u, v = ((side - least) * (1.0 / cell_mm) for side, least in zip(np.ascontiguousarray(uv.T), low, strict=True))
+    inside = (u >= 0.0) & (u < rows) & (v >= 0.0) & (v < columns)
+    flat = u[inside].astype(np.int64) * columns + v[inside].astype(np.int64)
+    counts = np.bincount(flat, minlength=rows * columns).reshape(rows, columns)
     return Raster(counts.astype(np.int32), low, cell_mm)
 
 
@@ -77,10 +78,20 @@ def find_voids(raster: Raster, radii_mm: tuple[float, ...], *, score: float = 0.
     voids: list[Void] = []
     for radius in radii_mm:
         quality = _quality(spectrum, shape, radius / raster.cell_mm)[: covered.shape[0], : covered.shape[1]]
-        reach = 2 * round(0.8 * radius / raster.cell_mm) + 1
-        peaks = (quality == ndimage.maximum_filter(quality, size=reach)) & (quality > score)
-        voids += [_void(raster, covered, cell, radius, float(quality[tuple(cell)])) for cell in np.argwhere(peaks)]
+        peaks = _peaks(quality, score, 0.8 * radius / raster.cell_mm)
+        voids += [_void(raster, covered, cell, radius, float(quality[tuple(cell)])) for cell in peaks]
     return _best_of_overlapping(voids)
+
+
+def _peaks(quality: Array, least: float, reach: float) -> list[NDArray[np.int64]]:
+    """Cells (2,) above `least` that are the best within `reach` cells, best first."""
+    cells = np.argwhere(quality > least)
+    cells = cells[np.argsort(-quality[cells[:, 0], cells[:, 1]], kind="stable")]
+    found = []
+    while len(cells):
+        found.append(cells[0])
+        cells = cells[(np.abs(cells - cells[0]) > reach).any(axis=1)]
+    return found
 
 
 def _void(

@@ -13,23 +13,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cellctl.vision.geometry import Array
-from cellctl.vision.hole_model import (
-    CHAMFER,
-    CONE,
-    CU,
-    CV,
-    CYLINDER,
-    FACE,
-    SIZE,
-    TILT_U,
-    WALL,
-    HoleFits,
-    Samples,
-    facing,
-    label,
-    priors,
-    residuals,
-)
+from cellctl.vision.hole_fit import LEAST_COSINE, HoleFits
+from cellctl.vision.hole_model import CHAMFER, CU, CV, FACE, SIZE, TILT_U, WALL, Samples, facing, label, residuals
 from cellctl.vision.plane import TUKEY, robust_sigma
 from cellctl.vision.shared_noise import SharedNoise, correlated, field_basis
 
@@ -58,9 +43,10 @@ def refine(samples: Samples, fits: HoleFits, noise: SharedNoise, pixels: Array, 
     value, _ = residuals(samples, parameters, labels)
     count = len(parameters)
     near = _near(samples, parameters, labels, value, fits.sigma_mm, RING_LENGTHS * noise.length_px * pitch_mm)
-    amplitude = _amplitude(samples, parameters, labels, fits.sigma_mm)
+    cosine = np.maximum(facing(samples, parameters, labels), LEAST_COSINE)
+    amplitude = fits.sigma_mm[np.maximum(labels, 0)] * cosine**fits.slant_power * np.where(labels == FACE, -1.0, 1.0)
     holes = [_hole(samples, k, near, labels, pixels, noise, amplitude) for k in range(count)]
-    prior = priors(samples.chamfered)
+    prior = fits.prior
     scale = fits.sigma_mm * np.sqrt(max(1.0 - noise.share, LEAST_WHITE))
     left: list[Array] = [np.zeros(0)] * count
     covariances = fits.covariances.copy()
@@ -72,7 +58,7 @@ def refine(samples: Samples, fits: HoleFits, noise: SharedNoise, pixels: Array, 
                 continue
             pull = prior * (parameters[k] - fits.prior_mean[k]) * (np.arange(SIZE) >= TILT_U)
             weights = _weights(left[k], hole.labels, scale)
-            solved = _solve(design[hole.index], value[hole.index], hole.field, weights, prior, pull)
+            solved = _solve(design[:, hole.index].T, value[hole.index], hole.field, weights, prior, pull)
             parameters[k] += np.clip(solved.change, -0.1, 0.1)
             if not samples.chamfered:
                 parameters[k, CHAMFER] = parameters[k, WALL]
@@ -154,23 +140,6 @@ def _hole(
         return _Hole(index, own, pixels[index], np.zeros(len(index)), np.zeros((len(index), 0)))
     field = field_basis(pixels[index], noise) * (np.sqrt(noise.share) * amplitude[index])[:, None]
     return _Hole(index, own, pixels[index], amplitude[index], field)
-
-
-def _amplitude(samples: Samples, parameters: Array, labels: NDArray[np.int8], sigma_mm: Array) -> Array:
-    """Signed noise (M,) across the surface at each point.
-
-    A camera's noise along the ray may or may not grow on surfaces seen at a slant: across the surface it goes with a
-    power of the cosine between 0 and 1, which the walls, seen most at a slant, tell against the face.
-    """
-    cosine = np.maximum(facing(samples, parameters, labels), 0.05)
-    middle = np.array(
-        [float(np.median(cosine[labels == kind])) if (labels == kind).any() else 1.0 for kind in range(3)]
-    )
-    wall = CYLINDER if middle[CYLINDER] < 0.8 else CONE
-    slant = np.log(middle[wall] / middle[FACE])
-    power = float(np.clip(np.log(sigma_mm[wall] / sigma_mm[FACE]) / slant, 0.0, 1.0)) if slant < -0.1 else 0.0
-    kind = np.maximum(labels, 0)
-    return np.asarray(sigma_mm[kind] * (cosine / middle[kind]) ** power * np.where(kind == FACE, -1.0, 1.0))
 
 
 def _weights(left: Array, labels: NDArray[np.int8], scale: Array) -> Array:

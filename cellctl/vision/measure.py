@@ -10,18 +10,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellctl.vision import outliers
 from cellctl.vision.cloud import as_cloud
+from cellctl.vision.columns import Columns
 from cellctl.vision.face import Face, find_face
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
-from cellctl.vision.holes import Hole, Sight, measure_holes
+from cellctl.vision.holes import Hole, Sight, measure_holes, reaches
 from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused
 from cellctl.vision.pattern import PatternFit, fit_pattern, symmetry
 from cellctl.vision.plane import fit_face
-from cellctl.vision.quality import coverage, nearness
-from cellctl.vision.shared_noise import estimate
+from cellctl.vision.shared_noise import on_face as shared_noise
 from cellctl.vision.studs import measure_studs
+from cellctl.vision.zones import FACE, FEATURE, Zones
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,21 +54,45 @@ def measure_part(
     if gates.outlier_removal != "none":
         grid = outliers.without_outliers(grid, sides=gates.outlier_removal)  # eq. 2-3
     pinhole = viewpoint(grid) if cloud.organised else None
-    flat = grid.reshape(-1, 3)
-    flat = flat[np.isfinite(flat[:, 0])].astype(np.float64)
+    scan = Columns.of(grid)
     eye = np.zeros(3) if pinhole is None else pinhole
     reference = np.array([1.0, 0.0, 0.0]) if T_frame_scanner is None else T_frame_scanner[0, :3]
-    found = find_face(flat, part, eye, reference, np.random.default_rng(seed))
-    local = found.frame.into(flat)
-    face = _refit_face(flat, local, found, part, eye)
+    found = find_face(scan, part, eye, reference, np.random.default_rng(seed))
+    places = _place(scan, found, part)
+    face = _refit_face(scan, places, found, part, eye)
     frame = PlaneFrame.on(_onto(face, found.frame.origin), face.normal, found.frame.axes[0])
-    features = _features(grid, flat, face, frame, found, part, pinhole)
+    features = _features(grid, scan, places, face, frame, found, part, pinhole)
     fitted = _fit_pattern(features, frame, part)
     # Without rays or a pose nothing says where the scanner stood.
     seen_from = eye if pinhole is not None or T_frame_scanner is not None else np.full(3, np.nan)
-    quality = _quality(face, frame, local, found, features, fitted, part, seen_from)
+    quality = _quality(scan, places, face, frame, found, features, fitted, seen_from)
     _check(quality, features, part, gates)
     return _assemble(features, face, frame, fitted, part, quality, T_frame_scanner)
+
+
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Which points lie where: rows on the face's own area near its plane, rows around holes and the hole of each."""
+
+    on_face: NDArray[np.intp]
+    around: NDArray[np.intp]
+    owner: NDArray[np.intp]
+    coverage: float
+
+
+def _place(scan: Columns, found: Face, part: Part) -> _Places:
+    """One look at every point: where on the part it is."""
+    local = scan.into(found.frame)
+    reach = reaches(part, found.radii_mm) if part.feature == "hole" else found.radii_mm
+    zones = Zones.of(part, found.radii_mm, reach, found.spacing_mm)
+    cells = zones.cells(local.x, local.y)
+    codes = zones.codes.reshape(-1).take(cells)
+    height = np.abs(local.z, out=local.z)
+    on_face = np.flatnonzero((codes >= FACE) & (height < 8.0 * found.plane.sigma_mm + (part.flatness_limit_mm or 0.0)))
+    level = on_face[height[on_face] < 5.0 * found.plane.sigma_mm + 0.01]
+    codes &= FEATURE
+    around = np.flatnonzero(codes) if part.feature == "hole" else np.zeros(0, dtype=np.intp)
+    return _Places(on_face, around, codes[around].astype(np.intp) - 1, zones.coverage(cells[level]))
 
 
 def _onto(face: FaceFit, point: Array) -> Array:
@@ -74,39 +100,27 @@ def _onto(face: FaceFit, point: Array) -> Array:
     return np.asarray(point - ((point - face.point_mm) @ face.normal) * face.normal)
 
 
-def _refit_face(flat: Array, local: Array, found: Face, part: Part, eye: Array) -> FaceFit:
+def _refit_face(scan: Columns, places: _Places, found: Face, part: Part, eye: Array) -> FaceFit:
     """The face plane from the face alone: inside its rims and clear of the features, whose edges would pull it."""
-    reach = 8.0 * found.plane.sigma_mm + (part.flatness_limit_mm or 0.0)
-    chosen = (np.abs(local[:, 2]) < reach) & nearness(local, part, found.radii_mm, 2.0 * found.spacing_mm)
-    face = fit_face(flat[chosen], found.plane, eye)
+    face = fit_face(scan.take(places.on_face), found.plane, eye)
     if part.flatness_limit_mm is not None and face.flatness_mm > 5.0 * part.flatness_limit_mm:
         raise Refused("face_warped", f"the face is {face.flatness_mm:.3f} mm out of flat")
     return face
 
 
 def _features(
-    grid: Points, flat: Array, face: FaceFit, frame: PlaneFrame, found: Face, part: Part, pinhole: Array | None
-) -> tuple[FeatureFit, ...]:
+    grid: Points, scan: Columns, places: _Places, face: FaceFit, frame: PlaneFrame, found: Face, part: Part,
+    pinhole: Array | None,
+) -> tuple[FeatureFit, ...]:  # fmt: skip
     """Every feature of the part, in the cloud's frame."""
     if part.feature == "stud":
         return measure_studs(grid, face, part, pose(frame.axes.T, frame.origin), viewpoint=pinhole)
-    local = frame.into(flat)
-    holes = measure_holes(local, part, found.radii_mm, _sight(grid, local, frame, face, found, part, pinhole))
+    sight = Sight(found.spacing_mm, face.sigma_mm)
+    if pinhole is not None:
+        noise = shared_noise(scan, places.on_face, face)
+        sight = Sight(found.spacing_mm, face.sigma_mm, frame.into(pinhole), noise)
+    holes = measure_holes(scan.take(places.around).into(frame), places.owner, part, found.radii_mm, sight)
     return tuple(_feature(index, hole, frame, face) for index, hole in enumerate(holes))
-
-
-def _sight(
-    grid: Points, local: Array, frame: PlaneFrame, face: FaceFit, found: Face, part: Part, pinhole: Array | None
-) -> Sight:
-    """How the face was seen; the noise that pixels share shows in the face's residuals on the grid."""
-    if pinhole is None:
-        return Sight(found.spacing_mm, face.sigma_mm)
-    pixels = np.stack(np.nonzero(np.isfinite(grid[..., 0])), axis=1)
-    image = np.full(grid.shape[:2], np.nan)
-    on = (np.abs(local[:, 2]) < 5.0 * face.sigma_mm) & nearness(local, part, found.radii_mm, found.spacing_mm)
-    image[pixels[on, 0], pixels[on, 1]] = local[on, 2]
-    noise = estimate(image, face.sigma_mm)
-    return Sight(found.spacing_mm, face.sigma_mm, frame.into(pinhole), pixels.astype(np.float64), noise)
 
 
 def _feature(index: int, hole: Hole, frame: PlaneFrame, face: FaceFit) -> FeatureFit:
@@ -146,14 +160,14 @@ def _fit_pattern(features: tuple[FeatureFit, ...], frame: PlaneFrame, part: Part
 
 
 def _quality(
-    face: FaceFit, frame: PlaneFrame, local: Array, found: Face, features: tuple[FeatureFit, ...],
-    fitted: PatternFit, part: Part, eye: Array,
+    scan: Columns, places: _Places, face: FaceFit, frame: PlaneFrame, found: Face, features: tuple[FeatureFit, ...],
+    fitted: PatternFit, eye: Array,
 ) -> dict[str, float]:  # fmt: skip
     carried = [feature.points for feature in features if feature.found]
     return {
-        "coverage": coverage(local, part, found.radii_mm, found.spacing_mm, 5.0 * face.sigma_mm + 0.01),
+        "coverage": places.coverage,
         "distance_mm": float(abs(frame.into(eye)[2])),
-        "points": float(len(local)),
+        "points": float(len(scan)),
         "spacing_mm": found.spacing_mm,
         "sigma_mm": face.sigma_mm,
         "found": float(len(carried)),
