@@ -11,6 +11,8 @@ from cellctl.vision.part import Part, Refused
 
 # score by which the best clocking must beat every other one; one matched feature is worth 1
 CLEAR_MARGIN = 0.2
+FAR = 3.0  # squared distance in sigmas from which on a centre loses weight: one in five goes farther by chance alone
+CONSISTENT = 1.193  # variance of normal centres over the one that those weights show: 2 W / E[min(chi2, FAR)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,42 +176,43 @@ def _score(
 
 
 def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: float) -> PatternFit:
-    """Weighted rigid least squares of the nominal pattern on centres (n, 2), NaN where missing.
+    """Robust rigid least squares of the nominal pattern on centres (n, 2), NaN where missing.
 
-    `covariances` (n, 2, 2) are type A. The pose's covariance is scaled by the scatter of the residuals where that is
-    larger than they explain: true holes are not where the drawing says. Raises Refused features_missing below three.
+    `covariances` (n, 2, 2) are type A: a centre counts little along the direction in which it is unsure. What the
+    residuals scatter beyond them is added to all alike (true holes are not where the drawing says), and one that still
+    lies far off loses weight, so that a torn hole does not turn the rest. Raises Refused features_missing below three.
     """
     found = np.isfinite(centres).all(axis=1)
     if np.count_nonzero(found) < 3:
         raise Refused("features_missing", f"{int(found.sum())} features found, at least 3 are needed")
-    model, measured = nominal(part)[found], centres[found]
-    # true positions scatter by microns beyond noise: a common floor keeps one good fit from ruling the pattern
-    variance = np.trace(covariances[found], axis1=1, axis2=2) / 2.0
+    model, measured, own = nominal(part)[found], centres[found], covariances[found]
+    alone = np.linalg.inv(own)
     pose = np.array([*(measured - model).mean(axis=0), clocking_rad])
     extra = 0.0
-    for _ in range(20):
-        weights = 1.0 / (variance + extra)
+    for _ in range(30):
         c, s = np.cos(pose[2]), np.sin(pose[2])
         turned = model @ np.array([[c, s], [-s, c]])
         residual = measured - turned - pose[:2]
-        design = np.zeros((len(model), 2, 3))
+        precision = np.linalg.inv(own + extra * np.eye(2))
+        trust = FAR / np.maximum(np.einsum("ni,nij,nj->n", residual, precision, residual), FAR)
+        weights = precision * trust[:, None, None]
+        design = np.zeros((len(model), 2, 4))  # x, y, turn, and outward for the diameter
         design[:, 0, 0] = design[:, 1, 1] = 1.0
         design[:, 0, 2], design[:, 1, 2] = -turned[:, 1], turned[:, 0]
-        matrix = np.einsum("nij,n,nik->jk", design, weights, design)
-        step = np.linalg.solve(matrix, np.einsum("nij,n,ni->j", design, weights, residual))
-        pose = pose + step
+        design[:, :, 3] = turned / np.hypot(*turned.T)[:, None]
+        matrix = np.einsum("nij,nik,nkl->jl", design, weights, design)
+        pull = np.einsum("nij,nik,nk->j", design, weights, residual)
+        pose = pose + np.linalg.solve(matrix[:3, :3], pull[:3])
         # variance of true positions by moments (DerSimonian-Laird), so that chi-square meets its expectation
-        degrees = max(2 * len(model) - 3, 1)
-        excess = float(((residual**2).sum(axis=1) / variance).sum()) - degrees
-        extra = max(0.0, excess / (2.0 * float((1.0 / variance).sum())))
-    outward = turned / np.hypot(*turned.T)[:, None]
-    radial = float(np.average((residual * outward).sum(axis=1), weights=weights))
+        excess = float(np.einsum("n,ni,nij,nj->", trust, residual, alone, residual)) - (2 * len(model) - 3)
+        free = 1.0 - 1.5 / len(model)
+        extra = max(0.0, CONSISTENT * excess / (free * float(np.einsum("n,nii->", trust, alone))))
     everything = np.full((part.count, 2), np.nan)
     everything[found] = residual
     return PatternFit(
         centre_mm=pose[:2],
         clocking_rad=float(wrap_rad(pose[2:])[0]),
-        covariance=np.linalg.inv(matrix),
-        diameter_mm=part.circle_diameter_mm + 2.0 * radial,
+        covariance=np.linalg.inv(matrix[:3, :3]),
+        diameter_mm=part.circle_diameter_mm + 2.0 * float(np.linalg.solve(matrix, pull)[3]),
         residuals_mm=everything,
     )
