@@ -150,8 +150,8 @@ def _by_outline(around: _Around, part: Part, radii_mm: Array, sight: Sight) -> l
     """Every hole without a chamfer as its outline shows it, or missing with the reason."""
     # at an edge a camera blurs and lifts the surface: without a chamfer to confuse it with, all of that is face
     on = np.abs(around.points[:, 2]) < max(4.0 * sight.sigma_mm, EDGE_BAND * sight.spacing_mm)
-    outlines = fit_outlines(around.points[on, :2], around.owner[on], part, radii_mm, sight.spacing_mm)
     centres = nominal(part)
+    outlines = fit_outlines(around.points[on, :2], around.owner[on], centres, radii_mm, sight.spacing_mm, part)
     return [_judged(outlines[k], part, k, float(radii_mm[k]), centres[k]) for k in range(part.count)]
 
 

@@ -16,12 +16,13 @@ from cellctl.vision.geometry import Array
 from cellctl.vision.part import Part
 from cellctl.vision.pattern import fit_pattern, nominal
 
-ROUNDS, PROFILED, PLACED = 12, 3, 4  # from which round on there is a profile; the one that starts from the pattern
+ROUNDS, PROFILED, PLACED = 13, 4, 5  # from which round on there is a profile; the one that starts from the pattern
 WINDOW = 3  # sectors in which the innermost point is looked for: they overlap, so that their place does not matter
 WIDTH = 1.8  # of that window, in spacings
 REACH = 3.2  # how far outside the outline an edge point may lie, in spacings
 INNER, OUTER = 0.7, 1.5  # the same as a share of the radius, to either side
 TUKEY = 3.5
+LOOKS_ALIKE, SURE = 0.12, 5.0  # difference of a radius from the usual one, as a share and in sigmas, that is plain
 LEAST_SCATTER = 0.1  # of the spacing
 PLACE_SIGMA_MM = 0.05  # added where the pattern gives the start: an edge in the wrong place looks as sure as any
 INFLATION = 2.5  # of variances: an artefact at the edge is wider than a sector. From emulated scans with known centres
@@ -46,42 +47,51 @@ class Outline:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """Change of centres (n, 2) and radii (n,), covariance (n, 2, 2) of the centres, scatter (n,), what was used (n, S)."""
+    """Change of centres (n, 2) and radii (n,), covariance (n, 2, 2) of the centres, scatter (n,), what was used (n, S).
+
+    `own_radius` (n,), `own_sigma` (n,): change of the radius that the hole alone would have.
+    """
 
     centre: Array
     radius: Array
+    own_radius: Array
+    own_sigma: Array
     covariance: Array
     scatter: Array
     used: NDArray[np.bool_]
 
 
 def fit_outlines(
-    uv: Array, owner: NDArray[np.intp], part: Part, radii_mm: Array, spacing_mm: float
+    uv: Array, owner: NDArray[np.intp], centres_mm: Array, radii_mm: Array, spacing_mm: float, part: Part | None = None
 ) -> list[Outline | None]:
-    """Outlines of all holes from face points (M, 2) in the part's approximate frame; None where none is seen.
+    """Outlines of holes at about `centres_mm` (n, 2) with `radii_mm` (n,), from face points (M, 2); None where none is
+    seen.
 
-    `owner` (M,) is the hole that each point lies around, `radii_mm` (n,) about their radii. Limited by the sampling: an
-    edge lies anywhere within one spacing of the innermost point, and the radius is corrected by half a spacing.
+    `owner` (M,) is the hole that each point lies around. With `part`, in whose frame all lies, holes that are drawn
+    alike share their radius, and where the pattern has them tells what edge is theirs. Limited by the sampling: an edge
+    lies anywhere within one spacing of the innermost point, and the radius is corrected by half a spacing.
     """
-    centre, group = nominal(part), _alike(part, radii_mm)
-    start = np.array([float(np.median(radii_mm[group == own])) for own in group])
-    radius = start.copy()
+    count, centre = len(centres_mm), centres_mm
+    group = np.arange(count) if part is None else _drawn(part)
+    radius = start = _shared(radii_mm, group)
     sectors = WINDOW * int(np.clip(2.0 * np.pi * float(np.median(radius)) / (WIDTH * spacing_mm), 12, 180))
     angle = (np.arange(sectors) + 0.5) * 2.0 * np.pi / sectors
     ways = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     profile = np.zeros(sectors)
     step: _Step | None = None
     for turn in range(ROUNDS):
-        if turn == PLACED and step is not None:
+        if turn == PLACED and step is not None and part is not None:
             centre = _placed(part, centre, step)
         edge = _edges(uv - centre[owner], owner, radius, sectors, spacing_mm)
+        if turn == PROFILED and step is not None and part is not None:
+            group, radius = _regrouped(group, radius, step)
+            start = radius
         if turn >= PROFILED:
             profile = _profile(edge, ways)
         step = _step(edge - profile, ways, group, start - radius, spacing_mm)
         centre, radius = centre + step.centre, radius + step.radius
     assert step is not None
     distance = np.hypot(*(uv - centre[owner]).T)
-    count = part.count
     along = np.bincount(owner[np.abs(distance - radius[owner]) < spacing_mm], minlength=count)
     inside = np.bincount(owner[distance < 0.8 * radius[owner]], minlength=count)
     whole = np.maximum(np.pi * (0.8 * radius) ** 2 / spacing_mm**2, 1.0)
@@ -95,12 +105,24 @@ def fit_outlines(
     ]  # fmt: skip
 
 
-def _alike(part: Part, radii_mm: Array) -> NDArray[np.intp]:
-    """Group (n,) of each hole: those of one size on the drawing; without sizes, all that look like the middle one."""
-    if part.diameter_mm is not None:
-        return np.unique(np.asarray(part.diameter_mm), return_inverse=True)[1].astype(np.intp)
-    own = np.arange(1, part.count + 1)
-    return np.where(np.abs(radii_mm / np.median(radii_mm) - 1.0) < 0.12, 0, own).astype(np.intp)
+def _drawn(part: Part) -> NDArray[np.intp]:
+    """Group (n,) of each hole: those of one size on the drawing, all where it gives none."""
+    drawn = np.zeros(part.count) if part.diameter_mm is None else np.asarray(part.diameter_mm)
+    return np.unique(drawn, return_inverse=True)[1].astype(np.intp)
+
+
+def _shared(radii_mm: Array, group: NDArray[np.intp]) -> Array:
+    """The median radius of its group for each hole (n,)."""
+    return np.array([float(np.median(radii_mm[group == own])) for own in group])
+
+
+def _regrouped(group: NDArray[np.intp], radius: Array, step: _Step) -> tuple[NDArray[np.intp], Array]:
+    """Groups (n,) and radii (n,) where a hole that plainly has another radius than its group's is alone, with its own."""
+    own = radius + step.own_radius
+    usual = _shared(own, group)
+    other = np.abs(own - usual) > np.maximum(LOOKS_ALIKE * usual, SURE * step.own_sigma)
+    alone = np.arange(len(group)) + len(group)
+    return np.where(other, alone, group).astype(np.intp), np.where(other, own, usual)
 
 
 def _edges(offset: Array, owner: NDArray[np.intp], radius: Array, sectors: int, spacing_mm: float) -> Array:
@@ -154,7 +176,8 @@ def _step(edge: Array, ways: Array, group: NDArray[np.intp], pull_mm: Array, spa
     centre = np.einsum("nij,nj->ni", inverse, pull - cross * radius[:, None])
     covariance = inverse + carried[:, :, None] * carried[:, None, :] / known[:, None, None]
     limit = 2.0 * spacing_mm
-    return _Step(np.clip(centre, -limit, limit), radius, covariance, scatter, used)
+    own = np.maximum(own, 1e-9)
+    return _Step(np.clip(centre, -limit, limit), radius, wanted / own, own**-0.5, covariance, scatter, used)
 
 
 def _placed(part: Part, centre: Array, step: _Step) -> Array:
