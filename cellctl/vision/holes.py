@@ -22,7 +22,8 @@ from cellctl.vision.shared_noise import SharedNoise
 
 MIN_INNER_POINTS = 25
 MIN_ARC = 0.5
-MIN_TORN_ARC = 0.35  # where the other holes tell the radius and the shape of the edge
+MIN_TORN_ARC = 0.25  # where the other holes tell the radius and the shape of the edge
+MIN_EDGE_POINTS = 12
 MAX_FILL = 0.25
 EDGE_BAND = 2.5  # height of what belongs to the face at the edge of a hole without a chamfer, in spacings
 
@@ -175,6 +176,8 @@ def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float, l
         return "the face is closed at the hole's place"
     if outline.arc < least_arc:
         return f"only {100 * outline.arc:.0f} % of the outline was seen"
+    if outline.points < MIN_EDGE_POINTS:
+        return f"only {outline.points} points lie along the outline"
     if np.hypot(*(outline.centre_mm - nominal_mm)) > 0.5 * radius_mm:
         return "the void found lies off the hole's place"
     if not 0.6 * radius_mm < outline.radius_mm < 1.5 * radius_mm:

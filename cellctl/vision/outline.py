@@ -100,7 +100,7 @@ def fit_outlines(
             centre_mm=centre[k], radius_mm=float(radius[k] - 0.5 * spacing_mm), covariance=step.covariance[k],
             scatter_mm=float(step.scatter[k]), arc=float(step.used[k].mean()), fill=float(inside[k] / whole[k]),
             points=int(along[k]),
-        ) if np.count_nonzero(step.used[k]) >= max(8, sectors // 4) else None
+        ) if np.count_nonzero(step.used[k]) >= max(8, sectors // 5) else None
         for k in range(count)
     ]  # fmt: skip
 
@@ -161,7 +161,9 @@ def _step(edge: Array, ways: Array, group: NDArray[np.intp], pull_mm: Array, spa
         value = np.where(seen, edge, 0.0)
         middle = [float(np.median(np.abs(row[mask]))) if mask.any() else 0.0 for row, mask in zip(value, seen, strict=True)]
     scatter = np.maximum(1.4826 * np.array(middle), LEAST_SCATTER * spacing_mm)
-    ratio = value / (TUKEY * scatter[:, None])
+    # a torn outline scatters widely: it is cut where the others are, or it would keep all of its wrong edges
+    cut = np.minimum(scatter, 1.2 * float(np.median(scatter)))
+    ratio = value / (TUKEY * cut[:, None])
     used = seen & (np.abs(ratio) < 1.0)
     weight = np.where(used, (1.0 - ratio**2) ** 2, 0.0) / (WINDOW * INFLATION * scatter[:, None] ** 2)
     square = np.einsum("ns,si,sj->nij", weight, ways, ways) + 1e-6 * np.eye(2)
