@@ -20,7 +20,7 @@ from cellctl.vision.pattern import nominal
 from cellctl.vision.rim import look
 from cellctl.vision.shared_noise import SharedNoise
 
-MIN_INNER_POINTS = 25
+MIN_INNER_POINTS = 12
 MIN_ARC = 0.5
 MIN_TORN_ARC = 0.25  # where the other holes tell the radius and the shape of the edge
 MIN_EDGE_POINTS = 12
@@ -44,6 +44,7 @@ class Hole:
     residual_mm: float
     by: str = "model"
     reason: str = ""
+    chamfer_radius_mm: float | None = None
 
 
 def missing(reason: str) -> Hole:
@@ -218,10 +219,11 @@ def _by_model(around: _Around, chosen: list[int], outlines: list[Hole], part: Pa
     fits = hole_fit.fit(samples, start, sight.sigma_mm)
     if sight.noise is not None and around.pixels is not None and sight.eye is not None:
         fits = refine(samples, fits, sight.noise, around.pixels[rows], sight.spacing_mm)
-    return {k: hole for row, k in enumerate(chosen) if (hole := _from_model(fits, row, origins[row])) is not None}
+    holes = {k: _from_model(fits, row, origins[row], samples.chamfered) for row, k in enumerate(chosen)}
+    return {k: hole for k, hole in holes.items() if hole is not None}
 
 
-def _from_model(fits: hole_fit.HoleFits, row: int, origin: Array) -> Hole | None:
+def _from_model(fits: hole_fit.HoleFits, row: int, origin: Array, chamfered: bool) -> Hole | None:
     """The hole of one row, None where too few points of chamfer and wall carry it."""
     inner = int(fits.counts[row, hole_model.CONE] + fits.counts[row, hole_model.CYLINDER])
     if inner < MIN_INNER_POINTS:
@@ -231,7 +233,8 @@ def _from_model(fits: hole_fit.HoleFits, row: int, origin: Array) -> Hole | None
     covariance = fits.covariances[row][np.ix_(chosen, chosen)]
     slopes = p[[hole_model.TILT_U, hole_model.TILT_V]]
     return Hole(True, origin[:2] + p[:2], slopes, float(p[hole_model.WALL]), covariance,
-                int(fits.counts[row].sum()), float(fits.residual_mm[row]), "model")  # fmt: skip
+                int(fits.counts[row].sum()), float(fits.residual_mm[row]), "model",
+                chamfer_radius_mm=float(p[hole_model.CHAMFER]) if chamfered else None)  # fmt: skip
 
 
 def _better(model: Hole, outline: Hole, spacing_mm: float) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,19 @@ def symmetry(part: Part) -> int:
         if gap.min(axis=1).max() < 1e-3 and same_size.all():
             return order
     return 1
+
+
+def blind_to_sizes(part: Part) -> Part:
+    """The part with its sizes made alike, or the part itself where places and sizes have the same symmetry."""
+    if (
+        part.feature != "hole"
+        or part.diameter_mm is None
+        or symmetry(replace(part, diameter_mm=None)) == symmetry(part)
+    ):
+        return part
+    if part.chamfer_diameter_mm is None:
+        return replace(part, diameter_mm=None)
+    return replace(part, diameter_mm=(float(np.median(part.diameter_mm)),) * part.count)
 
 
 def find_pattern(part: Part, positions: Array, radii: Array, weights: Array, tolerance_mm: float) -> PatternPose | None:
@@ -209,7 +222,8 @@ def _score(
     matched = np.abs(miss) < tolerance
     if not matched.any():
         return PatternPose(np.zeros(2), theta, 0, 0.0)
-    better = float(theta + np.average(miss[matched], weights=value[nearest[matched]]))
+    shift = float(np.average(miss[matched], weights=value[nearest[matched]]))
+    miss = miss - shift  # a trial clocking stands for the one it leads to
     worth = np.minimum(value[nearest[matched]] / np.quantile(value, 0.75), 1.0)
     score = float((worth * (1.0 - 0.3 * (miss[matched] / tolerance) ** 2)).sum())
     if part.diameter_mm is not None:
@@ -217,7 +231,7 @@ def _score(
         ratio = np.log(sizes[nearest[matched]] / expected)
         # only differences between features count: a chamfer makes all voids larger alike
         score -= float(np.minimum(np.abs(ratio - np.median(ratio)), 0.5).sum())
-    return PatternPose(np.zeros(2), better, int(matched.sum()), score)
+    return PatternPose(np.zeros(2), float(theta + shift), int(matched.sum()), score)
 
 
 def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: float) -> PatternFit:

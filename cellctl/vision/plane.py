@@ -139,11 +139,12 @@ def fit_face(points: Columns, start: Plane, toward: Array) -> FaceFit:
     frame = PlaneFrame.on(centre - start.residuals(centre) * start.normal, normal)
     local = points.into(frame)
     thin = local.take(np.s_[:: max(1, len(points) // THINNED)])
-    level, sigma, _ = _level(thin, np.zeros(3), 2.0 * start.sigma_mm)
-    level, sigma, kept = _level(local, level, sigma)
-    if np.count_nonzero(kept) < 50:
+    level, sigma = _level(local, *_level(thin, np.zeros(3), 2.0 * start.sigma_mm))
+    height = local.z - _height(level, local)
+    kept = np.flatnonzero(np.abs(height) < TUKEY * sigma)
+    if len(kept) < 50:
         raise Refused("face_not_found", "the face's points do not lie in one plane")
-    on, height = local.take(kept), (local.z - _height(level, local))[kept]
+    on, height = local.take(kept), height[kept]
     middle = np.array([total(on.x), total(on.y)]) / len(on)
     point = frame.out(np.append(middle, level @ np.append(1.0, middle)))
     frame = PlaneFrame.on(point, unit(frame.axes.T @ np.array([-level[1], -level[2], 1.0])))
@@ -159,7 +160,7 @@ def fit_face(points: Columns, start: Plane, toward: Array) -> FaceFit:
         sigma_mm=sigma,
         flatness_mm=_flatness(height, _blocks(on, 2.0 * BLOCK_MM), sigma * np.sqrt(inflation)),
         points=len(on),
-        inliers=float(np.mean(kept)),
+        inliers=len(on) / len(points),
     )
 
 
@@ -172,34 +173,35 @@ def _height(level: Array, points: Columns) -> Column:
     return np.asarray(height)
 
 
-def _level(points: Columns, level: Array, sigma: float) -> tuple[Array, float, NDArray[np.bool_]]:
-    """Tukey-weighted plane (3,) w = a + b u + c v from `level`, to convergence; its scale, and the points (N,) kept."""
-    some = np.s_[:: max(1, len(points) // THINNED)]
-    kept = np.zeros(len(points), dtype=np.bool_)
+def _level(points: Columns, level: Array, sigma: float) -> tuple[Array, float]:
+    """Tukey-weighted plane (3,) w = a + b u + c v from `level`, to convergence, and its scale."""
+    some = points.take(np.s_[:: max(1, len(points) // THINNED)])
     for _ in range(LEVEL_ROUNDS):
-        left = points.z - _height(level, points)
-        sample = left[some]
-        sigma = max(robust_sigma(sample[np.abs(sample) < TUKEY * sigma]), RESOLUTION_MM)
-        weights = left * np.float32(1.0 / (TUKEY * sigma))
-        np.square(weights, out=weights)
-        kept = weights < 1.0
-        np.subtract(np.float32(1.0), weights, out=weights)
-        np.maximum(weights, np.float32(0.0), out=weights)
-        np.square(weights, out=weights)
-        wu, wv = weights * points.x, weights * points.y
-        normal = np.array([
-            [total(weights), total(wu), total(wv)],
-            [0.0, inner(wu, points.x), inner(wu, points.y)],
-            [0.0, 0.0, inner(wv, points.y)],
-        ])  # fmt: skip
-        normal += np.triu(normal, 1).T
-        step = np.linalg.lstsq(normal, np.array([inner(weights, left), inner(wu, left), inner(wv, left)]), rcond=None)[
-            0
-        ]
+        left = some.z - _height(level, some)
+        sigma = max(robust_sigma(left[np.abs(left) < TUKEY * sigma]), RESOLUTION_MM)
+        sums = sum((_moments(piece, level, TUKEY * sigma) for _, piece in points.batches()), np.zeros((3, 4)))
+        step = np.linalg.lstsq(sums[:, :3], sums[:, 3], rcond=None)[0]
         level = level + step
         if abs(step[0]) < STILL_MM and np.abs(step[1:]).max() < STILL_RAD:
             break
-    return level, sigma, kept
+    return level, sigma
+
+
+def _moments(points: Columns, level: Array, reach_mm: float) -> Array:
+    """Weighted normal matrix and right-hand side (3, 4) of a step of the plane `level`."""
+    left = points.z - _height(level, points)
+    weights = left * np.float32(1.0 / reach_mm)
+    np.square(weights, out=weights)
+    np.subtract(np.float32(1.0), weights, out=weights)
+    np.maximum(weights, np.float32(0.0), out=weights)
+    np.square(weights, out=weights)
+    wu, wv = weights * points.x, weights * points.y
+    first, second, third = total(wu), total(wv), inner(wu, points.y)
+    return np.array([
+        [total(weights), first, second, inner(weights, left)],
+        [first, inner(wu, points.x), third, inner(wu, left)],
+        [second, third, inner(wv, points.y), inner(wv, left)],
+    ])  # fmt: skip
 
 
 def _blocks(local: Columns, width_mm: float) -> tuple[NDArray[np.int32], tuple[int, int]]:
