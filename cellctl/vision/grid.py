@@ -12,6 +12,8 @@ from cellctl.vision.geometry import Array
 
 Bits = NDArray[np.bool_]
 MAX_CELLS = 4096
+MAX_VOIDS = 600
+"""Five times the features of the largest pattern: the pattern is voted for by all pairs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,11 +24,10 @@ class Raster:
     low: Array
     cell_mm: float
 
-    @property
-    def covered(self) -> Bits:
-        """(U, V) which cells hold a point; single empty cells between covered ones count as covered."""
-        square = np.ones((2, 2), dtype=np.bool_)
-        return np.asarray(ndimage.binary_closing(np.pad(self.counts > 0, 1), square)[1:-1, 1:-1])
+    def covered(self, gap: int = 2) -> Bits:
+        """(U, V) which cells hold a point; gaps between covered ones that hold no square of `gap` cells count too."""
+        square = np.ones((gap, gap), dtype=np.bool_)
+        return np.asarray(ndimage.binary_closing(np.pad(self.counts > 0, gap), square)[gap:-gap, gap:-gap])
 
     def position(self, cells: Array) -> Array:
         """Plane coordinates (n, 2) of cell centres (n, 2)."""
@@ -65,13 +66,14 @@ def rasterise(uv: Array, cell_mm: float, margin_mm: float = 0.0) -> Raster:
     return Raster(counts.astype(np.int32), low, cell_mm)
 
 
-def find_voids(raster: Raster, radii_mm: tuple[float, ...], *, score: float = 0.45) -> list[Void]:
-    """Round voids of about one of the radii: an empty disk inside a covered ring, best score first.
+def find_voids(raster: Raster, radii_mm: tuple[float, ...], *, gap: int = 2, score: float = 0.45) -> list[Void]:
+    """Round voids of about one of the radii: an empty disk inside a covered ring, best score first. `gap` as in
+    `Raster.covered`.
 
     A matched filter, so that a hole whose rim is torn open by missing data is still seen; slots and bores, whose
     ring is not covered all around, are not.
     """
-    covered = raster.covered.astype(np.float32)
+    covered = raster.covered(gap).astype(np.float32)
     pad = int(np.ceil(2.0 * max(radii_mm) / raster.cell_mm)) + 2
     shape = [fft.next_fast_len(side + pad, real=True) for side in covered.shape]
     spectrum = fft.rfft2(covered, shape)
@@ -129,11 +131,15 @@ def _quality(spectrum: NDArray[np.complex64], shape: list[int], radius: float) -
 
 
 def _best_of_overlapping(voids: list[Void]) -> list[Void]:
-    """Voids that do not overlap a better one."""
+    """Voids that do not overlap a better one; the best `MAX_VOIDS`, because a sieve has thousands."""
+    ordered = sorted(voids, key=lambda item: (-item.score, *item.position_mm))
+    positions = np.array([void.position_mm for void in ordered]).reshape(-1, 2)
+    free = np.ones(len(ordered), dtype=np.bool_)
     kept: list[Void] = []
-    for void in sorted(voids, key=lambda item: (-item.score, *item.position_mm)):
-        if all(np.hypot(*(void.position_mm - other.position_mm)) > other.radius_mm for other in kept):
+    for i, void in enumerate(ordered):
+        if free[i] and len(kept) < MAX_VOIDS:
             kept.append(void)
+            free &= np.hypot(*(positions - void.position_mm).T) > void.radius_mm
     return kept
 
 
@@ -150,4 +156,4 @@ def find_islands(raster: Raster, *, least: int = 3) -> list[Void]:
     order = np.argsort(-points, kind="stable")
     cells = ndimage.sum_labels(raster.counts > 0, labels, index)
     radii = np.sqrt(cells / np.pi) * raster.cell_mm
-    return [Void(raster.position(centres[i]), float(radii[i]), 1.0) for i in order if points[i] >= least]
+    return [Void(raster.position(centres[i]), float(radii[i]), 1.0) for i in order[:MAX_VOIDS] if points[i] >= least]

@@ -29,15 +29,17 @@ from cellctl.vision.hole_model import (
 )
 from cellctl.vision.plane import TUKEY, robust_sigma
 
-TILT_PRIOR_RAD = np.radians(0.03)  # machined holes stand square to their face
-TILT_DEGREES = 4.0  # what is known beforehand of how holes lean weighs as much as two holes
+TILT_PRIOR_RAD = np.radians(0.02)  # machined holes stand square to their face
+SIZE_PRIOR_MM = 0.03  # holes drawn alike differ by what tools and tolerances allow
+LEAST_ALIKE = 4
+PRIOR_DEGREES = 2.0  # what is known beforehand weighs as much as two measured values
 EM_ROUNDS = 40
-SLOPE_PRIOR = 5e-4  # long-wave ripple of the scanner tilts the neighbourhood of one hole
+SLOPE_PRIOR = 1e-3  # long-wave ripple of the scanner tilts the neighbourhood of one hole
 LIFT_PRIOR_MM = 0.01
 THINNED = 300  # points of a hole that bring its fit near
-STILL_MM = 1e-4
+STILL_MM = 3e-4
 BLOCK = 1024
-LEAST_COSINE = 0.08  # nearer to grazing, what the model leaves out outweighs noise
+LEAST_COSINE = 0.1  # nearer to grazing, what the model leaves out outweighs noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ class HoleFits:
     """Parameters (K, 9), their covariances (K, 9, 9) type A with priors, scales of the three surfaces, label counts.
 
     `residual_mm` (K,) is the robust residual of cone and wall, `counts` (K, 3) the points kept per surface,
-    `prior_mean` (K, 9) where the priors pull and `prior` (9,) their precisions. Noise across a
+    `prior_mean` (K, 9) where the priors pull and `prior` (K, 9) their precisions. Noise across a
     surface is `sigma_mm` times the cosine of incidence to `slant_power`.
     """
 
@@ -77,29 +79,29 @@ class _State:
 def fit(samples: Samples, start: Array, sigma_mm: float) -> HoleFits:
     """Gauss-Newton with Tukey weights on all holes; the scale of each surface comes from the pooled residuals.
 
-    Thinned points come near; all points decide. How noise goes with the slant of a surface (`slant_power`) and how much
-    holes lean (`tilt_prior`) is learnt from all holes.
+    Thinned points come near; all points decide. How noise goes with the slant of a surface (`slant_power`), how much
+    holes lean and how alike they are (`_pooled`) is learnt from all holes.
     """
     scale = np.array([sigma_mm, 3.0 * sigma_mm, 3.0 * sigma_mm])
-    prior = priors(samples.chamfered)
+    prior = np.tile(priors(samples.chamfered), (len(start), 1))
     step = len(samples.points) // (THINNED * max(len(start), 1))
     rough = samples.thinned(step) if step > 1 else samples
     state = _rounds(rough, start, start, scale, prior, wide=3.0, rounds=4)
     state = _rounds(rough, state.parameters, start, state.scale, prior, rounds=8)
     power = slant_power(state.labels, state.value, state.weights, facing(rough, state.parameters, state.labels))
     scale = state.scale / np.maximum(_middles(rough, state), LEAST_COSINE) ** power
-    state = _rounds(samples, state.parameters, start, scale, prior, power=power, rounds=5)
+    state = _rounds(samples, state.parameters, start, scale, prior, power=power, rounds=2)
     factor = inflation(samples, state.value / state.amplitude, state.weights, state.labels, state.scale)
-    prior = tilt_prior(state, start, prior, factor)
-    state = _rounds(samples, state.parameters, start, state.scale, prior, power=power, rounds=2)
+    mean, prior = _pooled(state, start, priors(samples.chamfered), factor)
+    state = _rounds(samples, state.parameters, mean, state.scale, prior, power=power, rounds=3)
     kept = state.weights > 0.0
     count = len(start)
     counts = np.bincount(samples.owner[kept] * 3 + state.labels[kept], minlength=3 * count).reshape(count, 3)
     inner = kept & (state.labels != FACE)
     ends = zip(samples.starts[:-1], samples.starts[1:], strict=True)
     residual = [robust_sigma(state.value[a:b][inner[a:b]]) if inner[a:b].any() else np.nan for a, b in ends]
-    covariances = np.asarray(np.linalg.inv(state.normal + np.diag(prior)) * factor)
-    return HoleFits(state.parameters, covariances, state.scale, counts, np.array(residual), factor, start, prior, power)
+    covariances = np.asarray(np.linalg.inv(state.normal + _diagonal(prior)) * factor)
+    return HoleFits(state.parameters, covariances, state.scale, counts, np.array(residual), factor, mean, prior, power)
 
 
 def slant_power(labels: NDArray[np.int8], value: Array, weights: Array, cosine: Array) -> float:
@@ -123,6 +125,11 @@ def slant_power(labels: NDArray[np.int8], value: Array, weights: Array, cosine: 
     return float(np.clip(np.average(dx * dy, weights=n) / np.average(dx * dx, weights=n), 0.0, 1.0))
 
 
+def _diagonal(rows: Array) -> Array:
+    """Diagonal matrices (K, n, n) of rows (K, n)."""
+    return np.asarray(rows[:, :, None] * np.eye(rows.shape[1]))
+
+
 def _middles(samples: Samples, state: _State) -> Array:
     """Median cosine of incidence (3,) on each surface; 1 where it shows no points."""
     cosine = facing(samples, state.parameters, state.labels)
@@ -136,7 +143,6 @@ def _rounds(
 ) -> _State:  # fmt: skip
     """Rounds of Gauss-Newton until the centres rest."""
     parameters = parameters.copy()
-    own = prior * (np.arange(SIZE) > WALL)
     labels = label(samples, parameters, scale)
     amplitude = np.maximum(facing(samples, parameters, labels), LEAST_COSINE) ** power
     for step in range(rounds):
@@ -145,9 +151,9 @@ def _rounds(
         value, design = residuals(samples, parameters, labels)
         scale = _scales(value / amplitude, labels, scale)
         weights = _weights(value, labels, scale, amplitude, wide=wide)
-        normal, gradient = _normal(samples.starts, design, weights, value)
-        pull = gradient + own * (parameters - mean)
-        change = -np.linalg.solve(normal + np.diag(prior), pull[:, :, None])[:, :, 0]
+        normal, gradient = normal_equations(samples.starts, design, weights, value)
+        pull = gradient + prior * (parameters - mean)
+        change = -np.linalg.solve(normal + _diagonal(prior), pull[:, :, None])[:, :, 0]
         change[:, :4] = np.clip(change[:, :4], -0.3, 0.3)
         parameters += change
         if not samples.chamfered:
@@ -157,7 +163,7 @@ def _rounds(
     return _State(parameters, scale, normal, gradient, labels, value, weights, amplitude)
 
 
-def _normal(starts: NDArray[np.intp], design: Array, weights: Array, value: Array) -> tuple[Array, Array]:
+def normal_equations(starts: NDArray[np.intp], design: Array, weights: Array, value: Array) -> tuple[Array, Array]:
     """Weighted normal matrices (K, 9, 9) and gradients (K, 9) of every hole.
 
     In blocks so small that the matrix library gives them to one thread: sums must not depend on its number.
@@ -173,29 +179,46 @@ def _normal(starts: NDArray[np.intp], design: Array, weights: Array, value: Arra
     return result[:, :SIZE, :SIZE], result[:, :SIZE, SIZE]
 
 
-def tilt_prior(state: _State, mean: Array, prior: Array, factor: float) -> Array:
-    """The priors with the holes' lean as wide as all holes together show it (empirical Bayes by EM).
+def _pooled(state: _State, mean: Array, prior: Array, factor: float) -> tuple[Array, Array]:
+    """Prior means (K, 9) and precisions (K, 9) as all holes together show them (empirical Bayes by EM).
 
-    A few degrees of freedom stand for what drawings allow, so that few holes do not claim to know it well. `factor`
-    widens the data's variances for noise that pixels share.
+    How much holes lean, and how much the sizes of those drawn alike scatter about their mean. `factor` widens the
+    data's variances for noise that pixels share.
     """
-    tilts, others = [TILT_U, TILT_V], [k for k in range(SIZE) if k not in (TILT_U, TILT_V)]
-    gradient = state.gradient - np.einsum("kij,kj->ki", state.normal, state.parameters - mean)
-    whole = state.normal + np.diag(np.where(np.isin(np.arange(SIZE), tilts), 0.0, prior))
-    across = whole[:, tilts][:, :, others]
-    solved = np.linalg.solve(whole[:, others][:, :, others], np.concatenate(
-        [across.transpose(0, 2, 1), gradient[:, others, None]], axis=2))  # fmt: skip
-    information = (whole[:, tilts][:, :, tilts] - across @ solved[:, :, :2]) / factor
-    side = -(gradient[:, tilts] - (across @ solved[:, :, 2:])[:, :, 0]) / factor
-    variance = TILT_PRIOR_RAD**2
+    weak = prior.copy()
+    weak[[CHAMFER, WALL]] = np.minimum(weak[[CHAMFER, WALL]], 1.0)
+    weak[[TILT_U, TILT_V]] = 1e-3 * TILT_PRIOR_RAD**-2
+    inverse = np.linalg.inv(state.normal / factor + np.diag(weak))
+    gradient = state.gradient / factor + weak * (state.parameters - mean)
+    estimate = state.parameters - np.einsum("kij,kj->ki", inverse, gradient)
+    variance = np.einsum("kii->ki", inverse)
+    means, precisions = mean.copy(), np.tile(prior, (len(mean), 1))
+    tilts = [TILT_U, TILT_V]
+    precisions[:, tilts] = 1.0 / _spread(estimate[:, tilts].ravel(), variance[:, tilts].ravel(), TILT_PRIOR_RAD, 0.0)[1]
+    for size in (CHAMFER, WALL):
+        for drawn in np.unique(mean[:, size]):
+            alike = np.flatnonzero(mean[:, size] == drawn)
+            if len(alike) >= LEAST_ALIKE and prior[size] < 1.0:
+                middle, scatter = _spread(estimate[alike, size], variance[alike, size], SIZE_PRIOR_MM)
+                means[alike, size], precisions[alike, size] = middle, 1.0 / scatter
+    return means, precisions
+
+
+def _spread(values: Array, variances: Array, expected: float, middle: float | None = None) -> tuple[float, float]:
+    """Mean (unless `middle` is it) and variance of true values, of which `values` (n,) are measured with `variances`.
+
+    A few degrees of freedom stand for what drawings allow (`expected`, one sigma), so that few do not claim to know it
+    well.
+    """
+    scatter, centre = expected**2, 0.0 if middle is None else middle
     for _ in range(EM_ROUNDS):
-        spread = np.linalg.inv(information + np.eye(2) / variance)
-        tilt = np.einsum("kij,kj->ki", spread, side)
-        shown = float(np.square(tilt).sum() + np.trace(spread, axis1=1, axis2=2).sum())
-        variance = (shown + TILT_DEGREES * TILT_PRIOR_RAD**2) / (2.0 * len(tilt) + TILT_DEGREES)
-    result = prior.copy()
-    result[tilts] = 1.0 / variance
-    return result
+        weights = 1.0 / (variances + scatter)
+        if middle is None:
+            centre = float(weights @ values / weights.sum())
+        shrunk = scatter * weights * (values - centre)
+        shown = float((shrunk**2 + scatter * variances * weights).sum())
+        scatter = (shown + PRIOR_DEGREES * expected**2) / (len(values) + PRIOR_DEGREES)
+    return centre, scatter
 
 
 def priors(chamfered: bool) -> Array:

@@ -49,16 +49,19 @@ class Samples:
         u, v = (points[:, axis] - points[:, 2] * change for axis, change in ((0, du), (1, dv)))
         return cls(points, starts, owner, np.stack([u, v, du, dv]), slope, depth_mm, chamfered)
 
-    def thinned(self, step: int) -> Samples:
-        """Every `step`-th point of each hole."""
-        place = np.arange(len(self.points)) - self.starts[self.owner]
-        rows = np.flatnonzero(place % step == 0)
+    def take(self, rows: NDArray[np.intp]) -> Samples:
+        """Some of the points, by ascending index."""
         counts = np.bincount(self.owner[rows], minlength=len(self.starts) - 1)
         crossing = None if self.crossing is None else self.crossing[:, rows]
         return Samples(
             self.points[rows], np.append(0, np.cumsum(counts)), self.owner[rows], crossing, self.slope, self.depth_mm,
             self.chamfered,
         )  # fmt: skip
+
+    def thinned(self, step: int) -> Samples:
+        """Every `step`-th point of each hole."""
+        place = np.arange(len(self.points)) - self.starts[self.owner]
+        return self.take(np.flatnonzero(place % step == 0))
 
 
 def label(samples: Samples, parameters: Array, sigma_mm: Array) -> NDArray[np.int8]:
@@ -76,8 +79,10 @@ def label(samples: Samples, parameters: Array, sigma_mm: Array) -> NDArray[np.in
     neck = np.square(u + low * du - at_u) + np.square(v + low * dv - at_v)
     result = np.where(neck >= np.square(parameters[:, WALL])[owner], np.int8(CONE), np.int8(CYLINDER))
     result[mouth >= np.square(parameters[:, CHAMFER])[owner]] = FACE
-    deep = samples.points[:, 2]
-    result[(result == CYLINDER) & ((deep < -samples.depth_mm) | (deep > 0.5 * low))] = NONE
+    x, y, deep = samples.points.T
+    # a ray leaves the hole where it meets the wall: what lies on the side it came in by is a stray
+    inward = (x - cu) * du + (y - cv) * dv > 0.0
+    result[(result == CYLINDER) & (inward | (deep < -samples.depth_mm) | (deep > 0.5 * low))] = NONE
     return result
 
 

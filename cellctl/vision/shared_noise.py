@@ -1,7 +1,6 @@
-"""Noise that neighbouring pixels share: how far it reaches, and a field that stands for it in a fit.
+"""Noise that neighbouring pixels share: how far it reaches, as the face's residuals show it on the pixel grid.
 
-Structured light decodes depth over a neighbourhood, so errors are smooth across a few pixels. What the face shows
-beside a hole then says what the chamfer's error is; a fit that estimates this field along with the hole uses it.
+Structured light decodes depth over a neighbourhood, so errors are smooth across a few pixels.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ FAR_LAGS = (12, 15)
 LEAST_NEIGHBOUR = 0.15  # correlation of next neighbours below which noise counts as white
 CLIP = 3.5
 BAND_PIXELS = 200_000
-LATTICE = 0.8  # node distance in lengths: wider and the field leaves ripples of its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +29,10 @@ class SharedNoise:
 
     length_px: float
     share: float
+
+    def at(self, square_px: Array) -> Array:
+        """Correlation at squared distances > 0."""
+        return np.asarray(self.share * np.exp(-square_px / self.length_px**2))
 
 
 def on_face(scan: Columns, rows: NDArray[np.intp], face: FaceFit) -> SharedNoise | None:
@@ -83,26 +85,6 @@ def _correlation(z: Image, mask: Image, lag: int) -> float:
         sums += float((z[ahead] * z[behind]).sum(dtype=np.float64))
         count += float((mask[ahead] * mask[behind]).sum(dtype=np.float64))
     return sums / max(count, 1.0)
-
-
-def field_basis(pixels: Array, noise: SharedNoise) -> NDArray[np.float64]:
-    """Smooth functions (M, p) at pixels (M, 2) whose sum with independent unit coefficients has the shared correlation.
-
-    Gaussians of width length / 2 on a lattice as wide as the length: their correlation is exp(-d^2 / length^2).
-    Only lattice nodes near a pixel are kept; every row has unit length.
-    """
-    width, step = 0.5 * noise.length_px, LATTICE * noise.length_px
-    low = pixels.min(axis=0) - step
-    at = (pixels - low) / step
-    shape = np.ceil(at.max(axis=0)).astype(np.int64) + 2
-    corners = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
-    cells = np.floor(at).astype(np.int64)[:, None] + corners
-    nodes = np.unique(cells[..., 0] * shape[1] + cells[..., 1])
-    # a Gaussian separates: rows and columns of the lattice each have few values
-    down = np.exp(-(((at[:, :1] - np.arange(shape[0])) * step / width) ** 2) / 2.0)
-    right = np.exp(-(((at[:, 1:] - np.arange(shape[1])) * step / width) ** 2) / 2.0)
-    basis = down[:, nodes // shape[1]] * right[:, nodes % shape[1]]
-    return np.asarray(basis / np.sqrt(np.einsum("ij,ij->i", basis, basis))[:, None])
 
 
 def correlated(columns: Array, pixels: Array, noise: SharedNoise) -> Array:

@@ -38,8 +38,7 @@ class Zones:
     def of(cls, part: Part, radii_mm: Array, reach_mm: Array, spacing_mm: float) -> Zones:
         """From the nominal geometry, the radii (k,) of the features' voids and of their neighbourhoods, mm."""
         inner, outer = rims(part, radii_mm)
-        low = inner if part.face_inner_diameter_mm else 0.5 * inner
-        high = outer if part.face_outer_diameter_mm else 1.5 * outer
+        low, high = band(part, radii_mm)
         cell = max(spacing_mm, 2.0 * high / MOST_CELLS)
         half = int(np.ceil(high / cell)) + 2
         axis = (np.arange(2 * half) - half + 0.5) * cell
@@ -73,14 +72,15 @@ class Zones:
         cells += columns.astype(np.int32)
         return cells
 
-    def coverage(self, cells: NDArray[np.int32]) -> float:
-        """Share (0 to 1) of the face's nominal area that holds points: blocks of about two and a half spacings, where
-        `cells` (N,) are those of the points on the face."""
+    def coverage(self, counts: NDArray[np.intp]) -> float:
+        """Share (0 to 1) of the face's nominal area that holds points, in blocks of about two and a half spacings;
+        `counts` (n * n,) of the points on the face in each cell."""
         n = len(self.codes)
         block = max(1, round(2.5 * self.spacing_mm / self.cell_mm))
         size = n // block
-        counts = np.bincount(cells, minlength=n * n).reshape(n, n)[: size * block, : size * block]
-        seen = counts.reshape(size, block, size, block).sum(axis=(1, 3)) > 0
+        seen = (
+            counts.reshape(n, n)[: size * block, : size * block].reshape(size, block, size, block).sum(axis=(1, 3)) > 0
+        )
         expected = self.expected[: size * block, : size * block].reshape(size, block, size, block).all(axis=(1, 3))
         return float(np.mean(seen[expected])) if expected.any() else 0.0
 
@@ -91,6 +91,14 @@ def rims(part: Part, radii_mm: Array) -> tuple[float, float]:
     inner = 0.5 * part.face_inner_diameter_mm if part.face_inner_diameter_mm else max(0.0, ring - 3.0 * hole)
     outer = 0.5 * part.face_outer_diameter_mm if part.face_outer_diameter_mm else ring + 3.0 * hole
     return inner, outer
+
+
+def band(part: Part, radii_mm: Array) -> tuple[float, float]:
+    """Inner and outer radius (mm) between which points count as the face: the rims, wide where the recipe has none."""
+    inner, outer = rims(part, radii_mm)
+    low = inner if part.face_inner_diameter_mm else 0.5 * inner
+    high = outer if part.face_outer_diameter_mm else 1.5 * outer
+    return low, high
 
 
 def _nearest_feature(part: Part, u: Array, v: Array, rho: Array, reach_mm: float) -> tuple[NDArray[np.intp], Array]:
