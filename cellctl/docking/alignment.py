@@ -81,12 +81,13 @@ class Alignment:
     `target.z_mm` is the jack height at which the faces first touch, `approach_z_mm` leaves the stud tips `stand_off`
     below the holes' faces. `gap_mm` and `tilt_deg`: the faces as the shaft stood when it was scanned, and the angle
     between them at the target. Covariances (3, 3) are of (x_mm, y_mm, theta_deg) at the docking height, in mm2,
-    mm deg, deg2: type A from the residuals, type B from scanner certificate, common frame and axes; `sigma_*` join
-    them. `clearance_mm` per bolt, the least over the way in, cold; `clearance_hot_mm` at the docking temperature.
-    `p_insert`: every bolt passes free of contact, cold; `p_insert_hot` seated at the docking temperature; `p_force_ok`
-    the total contact force stays within the limit. `predicted_peak_force_n` (sum) and `predicted_peak_bolt_n` are
-    95 % quantiles. `offsets_mm` (n, 2) hole minus stud at the seated station. `clocking_free`: no index proved which
-    hole meets which stud; `partner[i]` is the stud that hole i meets.
+    mm deg, deg2, of the target against the pose that would leave the worst bolt of the true parts most clearance as
+    they go in cold: type A from the residuals of the scans, type B from scanner certificate, common frame and axes;
+    `sigma_*` join them. `clearance_mm` per bolt, the least over the way in, cold; `clearance_hot_mm` at the docking
+    temperature. `p_insert`: every bolt passes free of contact, cold; `p_insert_hot` seated at the docking temperature;
+    `p_force_ok` the total contact force stays within the limit. `predicted_peak_force_n` (sum) and
+    `predicted_peak_bolt_n` are 95 % quantiles. `offsets_mm` (n, 2) hole minus stud at the seated station.
+    `clocking_free`: no index proved which hole meets which stud; `partner[i]` is the stud that hole i meets.
     """
 
     x_mm: float
