@@ -23,7 +23,7 @@ from cellctl.docking.joint import (
     seat,
     shaft_face_at,
 )
-from cellctl.docking.prior import believed
+from cellctl.docking.prior import Believed, believed
 from cellctl.docking.ripple import ripple_noise
 from cellctl.docking.type_b import causes, rigid
 from cellctl.kinematics import Array, AxesPosition
@@ -46,10 +46,12 @@ def align(
     """
     _require(rotor, shaft, spec)
     seen, target = _least_squares(rotor, shaft, calibration, measured_at, spec)
-    joint, shares = _believed(rotor, shaft, seen.partner, calibration, measured_at, spec)
+    studs, holes = _believed(rotor, shaft, calibration, spec)
+    joint = joint_of(studs.part, holes.part, seen.partner, calibration, measured_at)
     target = _serve_the_worst(joint, calibration, target, spec)
-    measured = _measured(seen, joint, calibration, target)
-    systematic = causes(joint, calibration, measured_at, target, shares)
+    meets = list(seen.partner)
+    measured = _measured(joint, holes.noise_mm2 + studs.noise_mm2[meets], calibration, target)
+    systematic = causes(joint, calibration, measured_at, target, (holes.share, studs.share[meets]))
     belief = _belief(joint, calibration, target, spec, np.concatenate([measured, systematic], axis=2))
     aim_rng = np.random.default_rng((spec.seed, 1))
     covariance_a = type_a(belief, measured, aim_rng)
@@ -74,35 +76,28 @@ def _belief(joint: Joint, calibration: Calibration, at: AxesPosition, spec: Alig
     )
 
 
-def _measured(seen: Joint, joint: Joint, calibration: Calibration, at: AxesPosition) -> Array:
+def _measured(joint: Joint, noise_mm2: Array, calibration: Calibration, at: AxesPosition) -> Array:
     """(n, 2, 3) what the measurement leaves open in the place of the whole pattern, as rigid causes.
 
-    Each bolt is believed to lie a share s of its residual off the fitted pattern. Of the pattern's own error the bolts
-    follow 1 - s, which is the place of a pattern whose bolts have what the prior took from the variance.
+    The mean of bolts whose offsets have the noise (n,) is known as well as that noise allows; what each bolt is
+    believed to be wrong by for itself already makes up a part of it.
     """
     _, jacobian = offsets_at(joint, calibration, at, Station(0.0))
-    taken = float(np.mean(seen.variance_mm2 - joint.variance_mm2))
+    left = max(float(np.mean(noise_mm2 - joint.variance_mm2)), 0.0)
     normal = np.einsum("iak,ial->kl", jacobian, jacobian)
-    return np.asarray(jacobian @ root(max(taken, 0.0) * np.linalg.inv(normal)))
+    return np.asarray(jacobian @ root(left * np.linalg.inv(normal)))
 
 
 def _believed(
-    rotor: PartMeasurement,
-    shaft: PartMeasurement,
-    partner: tuple[int, ...],
-    calibration: Calibration,
-    measured_at: AxesPosition,
-    spec: AlignSpec,
-) -> tuple[Joint, tuple[Array, Array]]:
-    """The joint as it is believed to be, the drawing's position tolerance taken into account.
-
-    Also the shares (n,) that are kept of what holes and studs were seen off their places.
-    """
+    rotor: PartMeasurement, shaft: PartMeasurement, calibration: Calibration, spec: AlignSpec
+) -> tuple[Believed, Believed]:
+    """Rotor and shaft as they are believed to be, the drawing's position tolerance taken into account."""
     mirrored = tuple(-angle for angle in spec.angles_deg)
     sigma = spec.position_sigma_mm
-    rotor, studs = believed(rotor, mirrored, sigma, ripple_noise(rotor, calibration, "rotor"))
-    shaft, holes = believed(shaft, spec.angles_deg, sigma, ripple_noise(shaft, calibration, "shaft"))
-    return joint_of(rotor, shaft, partner, calibration, measured_at), (holes, studs[list(partner)])
+    return (
+        believed(rotor, mirrored, sigma, ripple_noise(rotor, calibration, "rotor")),
+        believed(shaft, spec.angles_deg, sigma, ripple_noise(shaft, calibration, "shaft")),
+    )
 
 
 def _require(rotor: PartMeasurement, shaft: PartMeasurement, spec: AlignSpec) -> None:

@@ -6,7 +6,7 @@ than where it was seen. Without this the minimax polish would follow the noise o
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,17 +14,27 @@ from cellctl.docking.ripple import RippleNoise
 from cellctl.kinematics import Array
 from cellctl.vision.part import FeatureFit, PartMeasurement
 
+SHARES = (np.arange(200) + 0.5) / 200.0
+"""Shares of a spread among which the split between noise and true scatter is looked for."""
 
-def believed(
-    part: PartMeasurement, angles_deg: tuple[float, ...], sigma_mm: float, ripple: RippleNoise
-) -> tuple[PartMeasurement, Array]:
+
+@dataclass(frozen=True, slots=True)
+class Believed:
+    """A part as it is believed to be, how much (n,) is kept of what each centre was seen off its place, and the
+    variance (n,) per axis of each centre's own noise, as the pattern shows it."""
+
+    part: PartMeasurement
+    share: Array
+    noise_mm2: Array
+
+
+def believed(part: PartMeasurement, angles_deg: tuple[float, ...], sigma_mm: float, ripple: RippleNoise) -> Believed:
     """The measurement with each centre drawn towards its place in the fitted pattern (normal prior, per axis).
 
-    Also returned: the share (n,) of what each centre was seen off its place that is kept. `angles_deg` are the
-    pattern's angles in the part's own frame, `sigma_mm` the scatter that the drawing's position tolerance stands for.
-    The scatter that the measurement itself shows beyond its own noise and the scanner's `ripple` is used where it is
-    clearly larger (method of moments, less one standard error): a part out of tolerance is believed to be so. A lean
-    that goes with the error of the centre is corrected along with it.
+    `angles_deg` are the pattern's angles in the part's own frame, `sigma_mm` the scatter that the drawing's position
+    tolerance stands for. Where centres clearly scatter by more than their noise, the scanner's `ripple` and that
+    scatter together (by more than one standard error), `_shared_out` says which of them is larger than stated: a part
+    out of tolerance is believed to be so. A lean that goes with the error of the centre is corrected along with it.
     """
     places = _places(part, angles_deg)
     across = part.T_frame_part[:3, :2]
@@ -33,15 +43,29 @@ def believed(
     noise = np.array([_noise_mm2(feature, across) for feature in part.features]) + ripple.own_mm2
     # centre, clocking and diameter of the pattern were fitted to the same centres
     free = max(rest.size - 4, 1)
+    spread = float(np.sum(rest * rest)) / free * (1.0 - np.sqrt(2.0 / free))
+    louder, scatter = _shared_out(spread - float(np.mean(ripple.waves_mm2)), float(np.mean(noise)), sigma_mm**2)
+    noise = louder * noise
     total = noise + ripple.waves_mm2
-    spread = float(np.sum(rest * rest)) / free
-    scatter = max(sigma_mm**2, spread * (1.0 - np.sqrt(2.0 / free)) - float(np.mean(total)))
-    share = scatter / (scatter + total)
     features = tuple(
         _drawn(feature, part.face.normal, across @ miss, (own, every, scatter))
         for feature, miss, own, every in zip(part.features, rest, noise, total, strict=True)
     )
-    return replace(part, features=features), share
+    return Believed(replace(part, features=features), scatter / (scatter + total), noise)
+
+
+def _shared_out(spread: float, noise: float, scatter: float) -> tuple[float, float]:
+    """Factor on the noise variance and scatter (mm2) that explain `spread` (mm2) where noise and scatter do not.
+
+    Both are known to about the same factor, so the pair that needs the smallest changes of their logarithms is taken:
+    what makes up most of the spread is what was misjudged.
+    """
+    if spread <= noise + scatter or noise <= 0.0:
+        return 1.0, max(scatter, spread - noise)
+    parts = spread * SHARES
+    change = np.log(parts / scatter) ** 2 + np.log((spread - parts) / noise) ** 2
+    best = parts[np.argmin(change)]
+    return float((spread - best) / noise), float(best)
 
 
 def _drawn(feature: FeatureFit, normal: Array, miss: Array, variances: tuple[float, float, float]) -> FeatureFit:

@@ -35,7 +35,8 @@ def test_centre_and_lean_are_those_of_the_joint_normal_law() -> None:
     rng = np.random.default_rng(1)
     errors = rng.normal(0, 0.011, (36, 2))
     before = seen(errors)
-    after, share = believed(before, ANGLES, PLACE_MM, QUIET)
+    found = believed(before, ANGLES, PLACE_MM, QUIET)
+    after, share = found.part, found.share
     noise, place = joint_normal()
     # gain of (centre, slope) errors given what the centre shows: it shows their sum with the true place
     gain = noise[:, 0] / (noise[0, 0] + place[0, 0])
@@ -63,7 +64,8 @@ def test_what_is_believed_is_as_far_from_the_truth_as_it_says() -> None:
         true = rng.normal(0, PLACE_MM, (36, 2))
         waves = rng.normal(0, 0.006, (36, 2))
         noisy = true + waves + rng.normal(0, np.hypot(NOISE_MM, 0.003), (36, 2))
-        after, share = believed(seen(noisy), ANGLES, PLACE_MM, ripple)
+        found = believed(seen(noisy), ANGLES, PLACE_MM, ripple)
+        after, share = found.part, found.share
         nominal = np.array([_place(feature, after)[:2] for feature in after.features])
         miss = np.array([feature.center_mm[:2] for feature in after.features]) - nominal - true - share[:, None] * waves
         squares.append(np.mean(miss**2))
@@ -72,12 +74,25 @@ def test_what_is_believed_is_as_far_from_the_truth_as_it_says() -> None:
 
 
 def test_a_part_out_of_tolerance_is_believed_to_be_so_and_ripple_is_not_taken_for_one() -> None:
-    rng = np.random.default_rng(3)
-    wide = rng.normal(0, 0.05, (36, 2))
-    _, share = believed(seen(wide), ANGLES, PLACE_MM, QUIET)
-    assert share.min() > 0.9
-    _, share = believed(seen(wide), ANGLES, PLACE_MM, RippleNoise(np.zeros(36), np.full(36, 0.05**2)))
-    assert share.max() < 0.25
+    wide = np.random.default_rng(3).normal(0, 0.05, (36, 2))
+    assert believed(seen(wide, 0.004), ANGLES, PLACE_MM, QUIET).share.min() > 0.95
+    waves = RippleNoise(np.zeros(36), np.full(36, 0.05**2))
+    assert believed(seen(wide, 0.004), ANGLES, PLACE_MM, waves).share.max() < 0.1
+
+
+def test_noise_that_was_understated_is_noise() -> None:
+    """Centres that scatter by twice what their covariance says, on a part within its tolerance."""
+    rng, kept, stated, squares = np.random.default_rng(4), [], [], []
+    for _ in range(40):
+        true = rng.normal(0, PLACE_MM, (36, 2))
+        found = believed(seen(true + rng.normal(0, 0.03, (36, 2)), 0.015), ANGLES, PLACE_MM, QUIET)
+        nominal = np.array([_place(feature, found.part)[:2] for feature in found.part.features])
+        miss = np.array([feature.center_mm[:2] for feature in found.part.features]) - nominal - true
+        kept.append(found.share.mean())
+        stated.append(np.mean([feature.covariance_mm2[0, 0] for feature in found.part.features]))
+        squares.append(np.mean(miss**2))
+    assert np.mean(kept) < 0.3  # 0.1 with the noise known, 0.75 with all of it taken for scatter of the part
+    assert 0.7 < np.mean(squares) / np.mean(stated) < 1.3
 
 
 def test_pivot_of_a_covariance() -> None:
