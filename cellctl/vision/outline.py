@@ -117,7 +117,7 @@ def _shared(radii_mm: Array, group: NDArray[np.intp]) -> Array:
 
 
 def _regrouped(group: NDArray[np.intp], radius: Array, step: _Step) -> tuple[NDArray[np.intp], Array]:
-    """Groups (n,) and radii (n,) where a hole that plainly has another radius than its group's is alone, with its own."""
+    """Groups (n,) and radii (n,) where a hole whose radius is plainly not its group's is alone, with its own."""
     own = radius + step.own_radius
     usual = _shared(own, group)
     other = np.abs(own - usual) > np.maximum(LOOKS_ALIKE * usual, SURE * step.own_sigma)
@@ -142,7 +142,7 @@ def _edges(offset: Array, owner: NDArray[np.intp], radius: Array, sectors: int, 
 
 
 def _profile(edge: Array, ways: Array) -> Array:
-    """What the outlines (n, S) have in common (S,), beyond a circle: mean and first harmonic belong to radius, centre."""
+    """What the outlines (n, S) share (S,) beyond a circle: mean and first harmonic belong to radius and centre."""
     seen = np.isfinite(edge).sum(axis=0) >= 3
     common = np.zeros(edge.shape[1])
     common[seen] = np.nanmedian(edge[:, seen], axis=0)
