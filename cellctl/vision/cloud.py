@@ -72,9 +72,12 @@ def as_cloud(points: NDArray[np.float32] | NDArray[np.float64]) -> Cloud:
     array = np.ascontiguousarray(points, dtype=np.float32)
     flat = array.reshape(-1, 3)
     missing = np.isnan(flat)
-    empty = missing[:, 0]
-    if (np.abs(flat) > STRAY_MM).any() or any((missing[:, axis] != empty).any() for axis in (1, 2)):
+    # along the flat array "missing" may only change from one point to the next, never within one
+    changes = missing.reshape(-1)[1:] != missing.reshape(-1)[:-1]
+    split = np.count_nonzero(changes) != np.count_nonzero(changes[2::3])
+    if split or (np.abs(flat) > STRAY_MM).any():
         raise Refused("not_finite", "the cloud holds points with infinite, absurd or partly missing coordinates")
+    empty = missing[:, 0]
     valid = len(flat) - int(np.count_nonzero(empty))
     if valid < MIN_POINTS:
         raise Refused("too_few_points", f"the cloud holds {valid} valid points, at least {MIN_POINTS} are needed")

@@ -6,6 +6,7 @@ arrays do not promise. Points are float32 as cameras give them; sums over them a
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from cellctl.vision.geometry import Array, PlaneFrame, Points
 
 Column = NDArray[np.float32]
+BATCH = 32_768
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +37,11 @@ class Columns:
         """From (N, 3), or (H, W, 3) with NaN where there is no point."""
         flat = points.reshape(-1, 3)
         valid = np.flatnonzero(flat[:, 0] == flat[:, 0])
-        if len(valid) == len(flat):
-            x, y, z = np.array(flat.T, dtype=np.float32, order="C")
-        else:
-            x, y, z = (flat[:, axis].astype(np.float32)[valid] for axis in range(3))
+        x, y, z = np.empty((3, len(valid)), dtype=np.float32)
+        for begin in range(0, len(valid), BATCH):
+            piece = flat[valid[begin : begin + BATCH]]
+            for axis, column in enumerate((x, y, z)):
+                column[begin : begin + len(piece)] = piece[:, axis]
         if points.ndim == 2:
             return cls(x, y, z)
         return cls(x, y, z, valid, (points.shape[0], points.shape[1]))
@@ -50,6 +53,12 @@ class Columns:
         """Some of the points, by index, mask (N,) or slice."""
         pixels = None if self.pixels is None else self.pixels[rows]
         return Columns(self.x[rows], self.y[rows], self.z[rows], pixels, self.shape)
+
+    def batches(self) -> Iterator[tuple[int, Columns]]:
+        """All points in turn, in pieces that stay in the processor's cache, and where each begins: what is worked out
+        on the way from a point to a sum or an index need not be kept for a million points."""
+        for begin in range(0, len(self), BATCH):
+            yield begin, self.take(np.s_[begin : begin + BATCH])
 
     def into(self, frame: PlaneFrame) -> Columns:
         """The same points in the coordinates of `frame`: x, y along its plane, z above it."""

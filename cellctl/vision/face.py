@@ -10,17 +10,21 @@ from scipy.spatial import cKDTree
 
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame
-from cellctl.vision.grid import Void, find_islands, find_voids, rasterise, spacing
-from cellctl.vision.holes import void_radii
+from cellctl.vision.grid import Void, find_voids, rasterise, spacing
+from cellctl.vision.holes import EDGE_BAND, void_radii
+from cellctl.vision.likeness import by_likeness
 from cellctl.vision.part import Part, Refused
-from cellctl.vision.pattern import PatternPose, blind_to_sizes, find_pattern, nominal, symmetry
+from cellctl.vision.pattern import CLEAR_MARGIN, PatternPose, blind_to_sizes, find_patterns, nominal, symmetry
 from cellctl.vision.plane import Plane, find_planes
+from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, stand_on, tip_levels
 
 RANSAC_POINTS = 12_000
 MAX_NOISE_MM = 0.5
 LEAST_DISTANCE_MM = 100.0
 CLEAR_SIDE, SIDE_POINTS = 5.0, 200_000
 """Standard deviations by which the holes tell the side, and how many points are looked at."""
+RIVALS, MOST_RIVALS = 0.25, 8  # poses that score so much less, per feature, are told apart by their outlines
+LEAST_LIKENESS = 0.25  # per feature: chance voids in a few of the places are no pattern
 CELLS_PER_SPACING, CELLS_PER_RADIUS = 1.6, 4.0
 THINNED_POINTS = 120_000
 """As many points show where the face and its pattern are; finer sampling serves the fits."""
@@ -55,7 +59,8 @@ def find_face(points: Columns, part: Part, eye: Array | None, reference: Array, 
     """
     some = points if len(points) <= RANSAC_POINTS else points.take(rng.integers(0, len(points), RANSAC_POINTS))
     densities = [_Thinned(points, 1.0, CELLS_PER_SPACING)]
-    if len(points) > 2 * THINNED_POINTS and part.diameter_mm is not None:
+    sized = part.diameter_mm is not None or (part.feature == "stud" and part.thread is not None)
+    if len(points) > 2 * THINNED_POINTS and sized:
         densities.insert(0, _thinned(points, rng))
     best: Face | None = None
     refusal: Refused | None = None
@@ -157,7 +162,7 @@ def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part
         space = spacing(uv, coarse_mm=0.012 * part.circle_diameter_mm + 1.0)
         if thinned is densities[-1] or _fine_enough(part, thinned.cells * space):
             break
-    voids = _holes(uv, part, space, thinned.cells) if part.feature == "hole" else _studs(local, part, space)
+    voids = _holes(uv, part, space, thinned.cells) if part.feature == "hole" else _studs(local, uv, part, space)
     if len(voids) < 3:
         return None
     positions = np.stack([void.position_mm for void in voids])
@@ -167,18 +172,30 @@ def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part
     tolerance = max(0.006 * part.circle_diameter_mm, 2.0 * space)
     # where only sizes tell the clocking, walls tell it later: what the face shows of a size is torn and chamfered
     blind = blind_to_sizes(part)
-    pattern = find_pattern(blind, positions, radii, scores, tolerance)
-    if pattern is None or pattern.matched < max(3, int(np.ceil(0.5 * part.count))):
+    least = max(3, int(np.ceil(0.5 * part.count)))
+    rivals = find_patterns(blind, positions, radii, scores, tolerance, within=max(1.0, RIVALS * part.count))
+    rivals = [pattern for pattern in rivals if pattern.matched >= least]
+    if part.feature == "hole" and (len(rivals) > 1 or any(pattern.matched < part.count for pattern in rivals)):
+        edge = np.abs(local.z) < max(4.0 * plane.sigma_mm, EDGE_BAND * space)
+        face = np.stack([local.x[edge], local.y[edge]], axis=1, dtype=np.float64)
+        sizes = [_matched_radii(part, pose, positions, radii) for pose in rivals[:MOST_RIVALS]]
+        judged = by_likeness(rivals[:MOST_RIVALS], face, part, np.stack(sizes), space) if rivals else []
+        rivals = [pose for pose in judged if pose.score > LEAST_LIKENESS * part.count]
+    if not rivals:
         return None
-    _refuse_further(part, pattern, positions, radii, scores, tolerance)
-    pattern = _nearest_to(pattern, frame, blind, reference)
+    if len(rivals) > 1 and rivals[1].score > rivals[0].score - CLEAR_MARGIN:
+        raise Refused("pattern_ambiguous", "two clockings of the pattern are met equally well")
+    _refuse_further(part, rivals[0], positions, radii, scores, tolerance)
+    pattern = _nearest_to(rivals[0], frame, blind, reference)
     radii = _matched_radii(part, pattern, positions, radii)
     return Face(plane, _pattern_frame(frame, pattern), space * float(np.sqrt(thinned.share)), radii, pattern)
 
 
 def _fine_enough(part: Part, cell_mm: float) -> bool:
-    """Whether a raster with such cells shows the part's features: a hole's radius is at least one and a half cells."""
-    return part.feature == "hole" and 1.5 * cell_mm < float(np.nanmin(void_radii(part)))
+    """Whether a raster with such cells shows the part's features: a hole's radius is 1.5 cells, a stud's two."""
+    if part.feature == "stud":
+        return 2.0 * cell_mm < (radius_of(part) or 0.0)
+    return 1.5 * cell_mm < float(np.nanmin(void_radii(part)))
 
 
 def _holes(uv: Array, part: Part, space: float, cells: float) -> list[Void]:
@@ -203,16 +220,19 @@ def _holes(uv: Array, part: Part, space: float, cells: float) -> list[Void]:
     return find_voids(raster, tuple(float(radius) for radius in radii), gap=gap)
 
 
-def _studs(local: Columns, part: Part, space: float) -> list[Void]:
-    """Groups of points as high above the plane as the outer half of a stud."""
-    length = part.length_mm or 0.1 * part.circle_diameter_mm
-    above = (local.z > 0.6 * length) & (local.z < 1.03 * length)
-    if np.count_nonzero(above) < 3 * part.count:
-        return []
+def _studs(local: Columns, on_plane: Array, part: Part, space: float) -> list[Void]:
+    """Ends of studs: discs of points at one height above the plane, whose points (N, 2) lie around them."""
+    above = np.flatnonzero(local.z > LEAST_HEIGHT_MM)
+    height = local.z[above].astype(np.float64)
     uv = np.stack([local.x[above], local.y[above]], axis=1, dtype=np.float64)
-    size = part.thread.major_diameter_mm if part.thread else (part.diameter_mm or (0.03 * part.circle_diameter_mm,))[0]
-    raster = rasterise(uv, max(space, 0.1 * size), margin_mm=size)
-    return [void for void in find_islands(raster, least=6) if void.radius_mm < 1.5 * size]
+    most: list[Void] = []
+    for level in tip_levels(height, part):
+        tips = find_tips(uv, height, part, space, level)
+        if len(tips) > len(most) and stand_on(tips, on_plane, uv):
+            most = tips
+        if 2 * len(most) > part.count:
+            break
+    return most
 
 
 def _refuse_further(

@@ -37,7 +37,7 @@ EM_ROUNDS = 40
 SLOPE_PRIOR = 1e-3  # long-wave ripple of the scanner tilts the neighbourhood of one hole
 LIFT_PRIOR_MM = 0.01
 THINNED = 300  # points of a hole that bring its fit near
-STILL_MM = 1e-4
+STILL_MM = 3e-4
 BLOCK = 1024
 LEAST_COSINE = 0.1  # nearer to grazing, what the model leaves out outweighs noise
 
@@ -90,7 +90,7 @@ def fit(samples: Samples, start: Array, sigma_mm: float) -> HoleFits:
     state = _rounds(rough, state.parameters, start, state.scale, prior, rounds=8)
     power = slant_power(state.labels, state.value, state.weights, facing(rough, state.parameters, state.labels))
     scale = state.scale / np.maximum(_middles(rough, state), LEAST_COSINE) ** power
-    state = _rounds(samples, state.parameters, start, scale, prior, power=power, rounds=5)
+    state = _rounds(samples, state.parameters, start, scale, prior, power=power, rounds=2)
     factor = inflation(samples, state.value / state.amplitude, state.weights, state.labels, state.scale)
     mean, prior = _pooled(state, start, priors(samples.chamfered), factor)
     state = _rounds(samples, state.parameters, mean, state.scale, prior, power=power, rounds=3)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.vision.columns import Column, Columns, inner, total
+from cellctl.vision.flatness import flatness_mm
 from cellctl.vision.geometry import Array, PlaneFrame, unit
 from cellctl.vision.part import FaceFit, Refused
 
@@ -126,9 +127,10 @@ def refit(points: Array, start: Plane, tau_mm: float) -> Plane:
     return Plane(normal, distance, sigma, near)
 
 
-def fit_face(points: Columns, start: Plane, toward: Array) -> FaceFit:
+def fit_face(points: Columns, start: Plane, toward: Array, area: Columns | None = None) -> FaceFit:
     """The face as a result: plane refitted on `points` of the face alone, normal on the side of `toward` (3,).
 
+    Flatness is told by `area`, points of the face's area whether they lie near its plane or not, else by `points`.
     The covariance is the white-noise one times the inflation seen in blocks of 6 mm (neighbouring pixels share
     noise). Raises Refused face_not_found with fewer than 50 points.
     """
@@ -139,11 +141,12 @@ def fit_face(points: Columns, start: Plane, toward: Array) -> FaceFit:
     frame = PlaneFrame.on(centre - start.residuals(centre) * start.normal, normal)
     local = points.into(frame)
     thin = local.take(np.s_[:: max(1, len(points) // THINNED)])
-    level, sigma, _ = _level(thin, np.zeros(3), 2.0 * start.sigma_mm)
-    level, sigma, kept = _level(local, level, sigma)
-    if np.count_nonzero(kept) < 50:
+    level, sigma = _level(local, *_level(thin, np.zeros(3), 2.0 * start.sigma_mm))
+    height = local.z - _height(level, local)
+    kept = np.flatnonzero(np.abs(height) < TUKEY * sigma)
+    if len(kept) < 50:
         raise Refused("face_not_found", "the face's points do not lie in one plane")
-    on, height = local.take(kept), (local.z - _height(level, local))[kept]
+    on, height = local.take(kept), height[kept]
     middle = np.array([total(on.x), total(on.y)]) / len(on)
     point = frame.out(np.append(middle, level @ np.append(1.0, middle)))
     frame = PlaneFrame.on(point, unit(frame.axes.T @ np.array([-level[1], -level[2], 1.0])))
@@ -151,15 +154,18 @@ def fit_face(points: Columns, start: Plane, toward: Array) -> FaceFit:
     # height above the plane at (u, v) = offset - tilt1 * u + tilt0 * v, right-handed about the two tangents
     u, v = on.x - np.float32(middle[0]), on.y - np.float32(middle[1])
     spread = np.array([[float(len(on)), 0.0, 0.0], [0.0, inner(v, v), -inner(u, v)], [0.0, -inner(u, v), inner(u, u)]])
+    covariance = sigma**2 * inflation * np.linalg.inv(spread)
+    area = points.take(np.s_[:: max(1, len(points) // THINNED)]) if area is None else area
+    shared = float(np.sqrt(covariance[0, 0] * min(len(on), len(area))))
     return FaceFit(
         point_mm=point,
         normal=frame.axes[2],
         tilt_axes=frame.axes[:2],
-        covariance=sigma**2 * inflation * np.linalg.inv(spread),
+        covariance=covariance,
         sigma_mm=sigma,
-        flatness_mm=_flatness(height, _blocks(on, 2.0 * BLOCK_MM), sigma * np.sqrt(inflation)),
+        flatness_mm=flatness_mm(area.into(frame), sigma, shared),
         points=len(on),
-        inliers=float(np.mean(kept)),
+        inliers=len(on) / len(points),
     )
 
 
@@ -172,34 +178,35 @@ def _height(level: Array, points: Columns) -> Column:
     return np.asarray(height)
 
 
-def _level(points: Columns, level: Array, sigma: float) -> tuple[Array, float, NDArray[np.bool_]]:
-    """Tukey-weighted plane (3,) w = a + b u + c v from `level`, to convergence; its scale, and the points (N,) kept."""
-    some = np.s_[:: max(1, len(points) // THINNED)]
-    kept = np.zeros(len(points), dtype=np.bool_)
+def _level(points: Columns, level: Array, sigma: float) -> tuple[Array, float]:
+    """Tukey-weighted plane (3,) w = a + b u + c v from `level`, to convergence, and its scale."""
+    some = points.take(np.s_[:: max(1, len(points) // THINNED)])
     for _ in range(LEVEL_ROUNDS):
-        left = points.z - _height(level, points)
-        sample = left[some]
-        sigma = max(robust_sigma(sample[np.abs(sample) < TUKEY * sigma]), RESOLUTION_MM)
-        weights = left * np.float32(1.0 / (TUKEY * sigma))
-        np.square(weights, out=weights)
-        kept = weights < 1.0
-        np.subtract(np.float32(1.0), weights, out=weights)
-        np.maximum(weights, np.float32(0.0), out=weights)
-        np.square(weights, out=weights)
-        wu, wv = weights * points.x, weights * points.y
-        normal = np.array([
-            [total(weights), total(wu), total(wv)],
-            [0.0, inner(wu, points.x), inner(wu, points.y)],
-            [0.0, 0.0, inner(wv, points.y)],
-        ])  # fmt: skip
-        normal += np.triu(normal, 1).T
-        step = np.linalg.lstsq(normal, np.array([inner(weights, left), inner(wu, left), inner(wv, left)]), rcond=None)[
-            0
-        ]
+        left = some.z - _height(level, some)
+        sigma = max(robust_sigma(left[np.abs(left) < TUKEY * sigma]), RESOLUTION_MM)
+        sums = sum((_moments(piece, level, TUKEY * sigma) for _, piece in points.batches()), np.zeros((3, 4)))
+        step = np.linalg.lstsq(sums[:, :3], sums[:, 3], rcond=None)[0]
         level = level + step
         if abs(step[0]) < STILL_MM and np.abs(step[1:]).max() < STILL_RAD:
             break
-    return level, sigma, kept
+    return level, sigma
+
+
+def _moments(points: Columns, level: Array, reach_mm: float) -> Array:
+    """Weighted normal matrix and right-hand side (3, 4) of a step of the plane `level`."""
+    left = points.z - _height(level, points)
+    weights = left * np.float32(1.0 / reach_mm)
+    np.square(weights, out=weights)
+    np.subtract(np.float32(1.0), weights, out=weights)
+    np.maximum(weights, np.float32(0.0), out=weights)
+    np.square(weights, out=weights)
+    wu, wv = weights * points.x, weights * points.y
+    first, second, third = total(wu), total(wv), inner(wu, points.y)
+    return np.array([
+        [total(weights), first, second, inner(weights, left)],
+        [first, inner(wu, points.x), third, inner(wu, left)],
+        [second, third, inner(wv, points.y), inner(wv, left)],
+    ])  # fmt: skip
 
 
 def _blocks(local: Columns, width_mm: float) -> tuple[NDArray[np.int32], tuple[int, int]]:
@@ -237,15 +244,3 @@ def _inflation(height: Column, blocks: tuple[NDArray[np.int32], tuple[int, int]]
         scatter.append((first - second)[both] ** 2 / (1.0 / n1[both] + 1.0 / n2[both]))
     values = np.concatenate(scatter)
     return max(1.0, float(values.mean()) / sigma_mm**2) if len(values) >= 5 else 1.0
-
-
-def _flatness(height: Column, blocks: tuple[NDArray[np.int32], tuple[int, int]], sigma_mm: float) -> float:
-    """Peak-to-valley of the block means, less what noise alone (`sigma_mm` as if white) gives them."""
-    means, counts = _block_means(height, blocks)
-    good = np.isfinite(means)
-    if np.count_nonzero(good) < 3:
-        return 0.0
-    span = float(np.ptp(means[good]))
-    noise = sigma_mm / np.sqrt(float(np.median(counts[good])))
-    expected = 2.0 * noise * np.sqrt(2.0 * np.log(np.count_nonzero(good)))  # range of n normal values
-    return float(np.sqrt(max(span**2 - expected**2, 0.0)))

@@ -72,14 +72,15 @@ class Zones:
         cells += columns.astype(np.int32)
         return cells
 
-    def coverage(self, cells: NDArray[np.int32]) -> float:
-        """Share (0 to 1) of the face's nominal area that holds points: blocks of about two and a half spacings, where
-        `cells` (N,) are those of the points on the face."""
+    def coverage(self, counts: NDArray[np.intp]) -> float:
+        """Share (0 to 1) of the face's nominal area that holds points, in blocks of about two and a half spacings;
+        `counts` (n * n,) of the points on the face in each cell."""
         n = len(self.codes)
         block = max(1, round(2.5 * self.spacing_mm / self.cell_mm))
         size = n // block
-        counts = np.bincount(cells, minlength=n * n).reshape(n, n)[: size * block, : size * block]
-        seen = counts.reshape(size, block, size, block).sum(axis=(1, 3)) > 0
+        seen = (
+            counts.reshape(n, n)[: size * block, : size * block].reshape(size, block, size, block).sum(axis=(1, 3)) > 0
+        )
         expected = self.expected[: size * block, : size * block].reshape(size, block, size, block).all(axis=(1, 3))
         return float(np.mean(seen[expected])) if expected.any() else 0.0
 
