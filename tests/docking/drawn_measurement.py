@@ -47,13 +47,13 @@ def drawn_measurement(
     place_mm = times * sight.place_mm
     centre = truth + sight.pivot_mm * (slope - seen_slope) + draw.normal(0.0, place_mm, truth.shape)
     T_seen = one.calibration.views[view].matrix @ np.linalg.inv(plant.T_cell_camera(view))
-    cell = _through_scanner(plant, view, np.column_stack([centre, np.zeros(len(centre))]), T_cell_part)
+    radius = 0.5 * float(np.mean(plant.rotor.diameter_mm if view == "rotor" else plant.shaft.diameter_mm))
+    cell = _through_scanner(plant, view, np.column_stack([centre, np.zeros(len(centre))]), T_cell_part, radius)
     T = T_seen @ T_cell_part
     axes = np.column_stack([seen_slope, np.ones(len(centre))]) @ T[:3, :3].T
     cell = cell @ T_seen[:3, :3].T + T_seen[:3, 3]
     cell = cell - ((cell - T[:3, 3]) @ T[:3, 2])[:, None] * T[:3, 2]
     covariance = np.eye(3) * (place_mm**2 + (sight.pivot_mm * lean) ** 2)
-    radius = 0.5 * float(np.mean(plant.rotor.diameter_mm if view == "rotor" else plant.shaft.diameter_mm))
     features = tuple(
         FeatureFit(i, True, c, a / np.linalg.norm(a), radius, covariance, float(np.degrees(lean)), sight.pivot_mm)
         for i, (c, a) in enumerate(zip(cell, axes, strict=True))
@@ -61,16 +61,23 @@ def drawn_measurement(
     return _assembled(one, view, T, features)
 
 
-def _through_scanner(plant: Plant, view: Literal["rotor", "shaft"], places: Array, T_cell_part: Array) -> Array:
-    """Places (n, 3) of the part in the true cell, moved along their rays by the instrument's ripple and scale."""
+def _through_scanner(
+    plant: Plant, view: Literal["rotor", "shaft"], places: Array, T_cell_part: Array, radius_mm: float
+) -> Array:
+    """Places (n, 3) of the part in the true cell as the instrument's ripple and scale show them.
+
+    A wave moves a feature along its ray, and its slope moves an edge `radius_mm` away sideways by slope times radius.
+    """
     errors, T_cell_camera = scan_errors(plant), plant.T_cell_camera(view)
     there = np.linalg.inv(T_cell_camera) @ T_cell_part
     seen = places @ there[:3, :3].T + there[:3, 3]
     angle = np.radians(errors.ripple_angle_deg)
-    across = seen[:, 0] * np.cos(angle) + seen[:, 1] * np.sin(angle)
-    phase = 2.0 * np.pi * across / errors.ripple_wavelength_mm + np.radians(errors.ripple_phase_deg)
-    along = np.sqrt(2.0) * errors.ripple_mm * np.sin(phase) / np.linalg.norm(seen, axis=1)
-    seen = seen * ((1.0 + errors.scale) * (1.0 + along))[:, None]
+    direction = np.array([np.cos(angle), np.sin(angle), 0.0])
+    wave = 2.0 * np.pi / errors.ripple_wavelength_mm
+    phase = wave * (seen @ direction) + np.radians(errors.ripple_phase_deg)
+    height, slope = np.sqrt(2.0) * errors.ripple_mm * np.array([np.sin(phase), wave * np.cos(phase)])
+    along = height / np.linalg.norm(seen, axis=1)
+    seen = seen * ((1.0 + errors.scale) * (1.0 + along))[:, None] + radius_mm * slope[:, None] * direction
     return np.asarray(seen @ T_cell_camera[:3, :3].T + T_cell_camera[:3, 3])
 
 
