@@ -134,7 +134,7 @@ def _vote_centres(positions: Array, weights: Array, radius: float, tolerance_mm:
     cells -= cells.min(axis=0)
     table = np.zeros(cells.max(axis=0) + 3)
     np.add.at(table, (cells[:, 0] + 1, cells[:, 1] + 1), value)
-    smooth = sum(np.roll(table, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
+    smooth = np.sum([np.roll(table, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
     centres: list[Array] = []
     most = float(np.max(smooth))
     for _ in range(CENTRES):
