@@ -104,7 +104,7 @@ def _face(plain: Plain) -> FaceFit:
 
 
 def _feature(plain: Plain) -> FeatureFit:
-    arrays = {name: _array(plain[name]) if plain[name] is not None else None for name in ARRAYS}
+    center_mm, axis, covariance_mm2 = (None if plain[name] is None else _array(plain[name]) for name in ARRAYS)
     thread = plain["thread"]
     return FeatureFit(
         index=int(plain["index"]),
@@ -116,7 +116,10 @@ def _feature(plain: Plain) -> FeatureFit:
         residual_mm=number_of(plain["residual_mm"]),
         reason=plain["reason"],
         chamfer_radius_mm=_number(plain.get("chamfer_radius_mm")),
-        **arrays,
+        pivot_mm=number_of(plain.get("pivot_mm", 0.0)),
+        center_mm=center_mm,
+        axis=axis,
+        covariance_mm2=covariance_mm2,
     )
 
 

@@ -10,13 +10,14 @@ from scipy.spatial import cKDTree
 
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame
-from cellctl.vision.grid import Void, find_islands, find_voids, rasterise, spacing
+from cellctl.vision.grid import Void, find_voids, rasterise, spacing
 from cellctl.vision.holes import void_radii
 from cellctl.vision.likeness import by_likeness
 from cellctl.vision.outline import edge_band_mm
 from cellctl.vision.part import Part, Refused
 from cellctl.vision.pattern import CLEAR_MARGIN, PatternPose, blind_to_sizes, find_patterns, nominal, symmetry
 from cellctl.vision.plane import Plane, find_planes
+from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, stand_on, tip_levels
 
 RANSAC_POINTS = 12_000
 MAX_NOISE_MM = 0.5
@@ -59,7 +60,8 @@ def find_face(points: Columns, part: Part, eye: Array | None, reference: Array, 
     """
     some = points if len(points) <= RANSAC_POINTS else points.take(rng.integers(0, len(points), RANSAC_POINTS))
     densities = [_Thinned(points, 1.0, CELLS_PER_SPACING)]
-    if len(points) > 2 * THINNED_POINTS and part.diameter_mm is not None:
+    sized = part.diameter_mm is not None or (part.feature == "stud" and part.thread is not None)
+    if len(points) > 2 * THINNED_POINTS and sized:
         densities.insert(0, _thinned(points, rng))
     best: Face | None = None
     refusal: Refused | None = None
@@ -161,7 +163,7 @@ def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part
         space = spacing(uv, coarse_mm=0.012 * part.circle_diameter_mm + 1.0)
         if thinned is densities[-1] or _fine_enough(part, thinned.cells * space):
             break
-    voids = _holes(uv, part, space, thinned.cells) if part.feature == "hole" else _studs(local, part, space)
+    voids = _holes(uv, part, space, thinned.cells) if part.feature == "hole" else _studs(local, uv, part, space)
     if len(voids) < 3:
         return None
     positions = np.stack([void.position_mm for void in voids])
@@ -191,8 +193,10 @@ def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part
 
 
 def _fine_enough(part: Part, cell_mm: float) -> bool:
-    """Whether a raster with such cells shows the part's features: a hole's radius is at least one and a half cells."""
-    return part.feature == "hole" and 1.5 * cell_mm < float(np.nanmin(void_radii(part)))
+    """Whether a raster with such cells shows the part's features: a hole's radius is 1.5 cells, a stud's two."""
+    if part.feature == "stud":
+        return 2.0 * cell_mm < (radius_of(part) or 0.0)
+    return 1.5 * cell_mm < float(np.nanmin(void_radii(part)))
 
 
 def _holes(uv: Array, part: Part, space: float, cells: float) -> list[Void]:
@@ -217,16 +221,19 @@ def _holes(uv: Array, part: Part, space: float, cells: float) -> list[Void]:
     return find_voids(raster, tuple(float(radius) for radius in radii), gap=gap)
 
 
-def _studs(local: Columns, part: Part, space: float) -> list[Void]:
-    """Groups of points as high above the plane as the outer half of a stud."""
-    length = part.length_mm or 0.1 * part.circle_diameter_mm
-    above = (local.z > 0.6 * length) & (local.z < 1.03 * length)
-    if np.count_nonzero(above) < 3 * part.count:
-        return []
+def _studs(local: Columns, on_plane: Array, part: Part, space: float) -> list[Void]:
+    """Ends of studs: discs of points at one height above the plane, whose points (N, 2) lie around them."""
+    above = np.flatnonzero(local.z > LEAST_HEIGHT_MM)
+    height = local.z[above].astype(np.float64)
     uv = np.stack([local.x[above], local.y[above]], axis=1, dtype=np.float64)
-    size = part.thread.major_diameter_mm if part.thread else (part.diameter_mm or (0.03 * part.circle_diameter_mm,))[0]
-    raster = rasterise(uv, max(space, 0.1 * size), margin_mm=size)
-    return [void for void in find_islands(raster, least=6) if void.radius_mm < 1.5 * size]
+    most: list[Void] = []
+    for level in tip_levels(height, part):
+        tips = find_tips(uv, height, part, space, level)
+        if len(tips) > len(most) and stand_on(tips, on_plane, uv):
+            most = tips
+        if 2 * len(most) > part.count:
+            break
+    return most
 
 
 def _refuse_further(

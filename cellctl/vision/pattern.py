@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -134,7 +135,9 @@ def _vote_centres(positions: Array, weights: Array, radius: float, tolerance_mm:
     cells -= cells.min(axis=0)
     table = np.zeros(cells.max(axis=0) + 3)
     np.add.at(table, (cells[:, 0] + 1, cells[:, 1] + 1), value)
-    smooth = np.sum([np.roll(table, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
+    smooth = np.zeros_like(table)
+    for i, j in product((-1, 0, 1), repeat=2):
+        smooth += np.roll(table, (i, j), axis=(0, 1))
     centres: list[Array] = []
     most = float(np.max(smooth))
     for _ in range(CENTRES):
@@ -239,7 +242,8 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
 
     `covariances` (n, 2, 2) are type A: a centre counts little along the direction in which it is unsure. What the
     residuals scatter beyond them is added to all alike (true holes are not where the drawing says), and one that still
-    lies far off loses weight, so that a torn hole does not turn the rest. Raises Refused features_missing below three.
+    lies far off loses weight, so that a torn hole does not turn the rest. A scatter that few residuals show makes
+    Student's t of the pose's error, whose variance is larger. Raises Refused features_missing below three.
     """
     found = np.isfinite(centres).all(axis=1)
     if np.count_nonzero(found) < 3:
@@ -247,7 +251,8 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
     model, measured, own = nominal(part)[found], centres[found], covariances[found]
     alone = np.linalg.inv(own)
     pose = np.array([*(measured - model).mean(axis=0), clocking_rad])
-    extra = 0.0
+    degrees = 2 * len(model) - 3
+    extra, free = 0.0, degrees / (2.0 * len(model))
     for _ in range(30):
         c, s = np.cos(pose[2]), np.sin(pose[2])
         turned = model @ np.array([[c, s], [-s, c]])
@@ -263,15 +268,16 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
         pull = np.einsum("nij,nik,nk->j", design, weights, residual)
         pose = pose + np.linalg.solve(matrix[:3, :3], pull[:3])
         # variance of true positions by moments (DerSimonian-Laird), so that chi-square meets its expectation
-        excess = float(np.einsum("n,ni,nij,nj->", trust, residual, alone, residual)) - (2 * len(model) - 3)
-        free = 1.0 - 1.5 / len(model)
-        extra = max(0.0, CONSISTENT * excess / (free * float(np.einsum("n,nii->", trust, alone))))
+        shown = CONSISTENT * float(np.einsum("n,ni,nij,nj->", trust, residual, alone, residual)) / free
+        extra = max(0.0, (shown - 2.0 * float(trust.sum())) / float(np.einsum("n,nii->", trust, alone)))
+    learnt = extra / (extra + 0.5 * float(np.mean(np.trace(own, axis1=1, axis2=2))))
+    wider = 1.0 + 2.0 * learnt / (degrees - 2)  # t with f degrees of freedom: variance f / (f - 2)
     everything = np.full((part.count, 2), np.nan)
     everything[found] = residual
     return PatternFit(
         centre_mm=pose[:2],
         clocking_rad=float(wrap_rad(pose[2:])[0]),
-        covariance=np.linalg.inv(matrix[:3, :3]),
+        covariance=wider * np.linalg.inv(matrix[:3, :3]),
         diameter_mm=part.circle_diameter_mm + 2.0 * float(np.linalg.solve(matrix, pull)[3]),
         residuals_mm=everything,
     )

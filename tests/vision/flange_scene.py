@@ -47,8 +47,7 @@ class Scan:
     """How it is seen: `T_scanner_part` (4, 4), angle of a pixel, and the size of every artefact (0 switches it off).
 
     `lost` is the share of the face that shows no points, `torn` the share of rims lost on top, `spread_px` the point
-    spread, `glints` the number of patches that an interreflection lifts or drops, `strays` of groups of points
-    in holes.
+    spread, `glints` the number of patches that an interreflection lifts or drops, `strays` of point groups in holes.
     """
 
     T_scanner_part: Array
@@ -303,7 +302,7 @@ def _add_strays(scan: Scan, on_face: Bits, depth: Array, face_range: Array, vali
         return
     for u, v in places[rng.integers(0, len(places), 3 * scan.strays)]:
         length = int(rng.integers(2, 6))
-        walk = np.array([u, v]) + np.cumsum(rng.integers(-1, 2, (length, 2)), axis=0)
+        walk = np.cumsum(rng.integers(-1, 2, (length, 2)), axis=0) + np.array([u, v])
         walk = np.clip(walk, 0, np.array(valid.shape) - 1)
         off = rng.uniform(-1.0, 1.0) if rng.random() < 0.8 else rng.uniform(1.0, 12.0)
         rows, columns = walk.T
