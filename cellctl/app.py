@@ -41,8 +41,11 @@ from cellctl.stamps import Stamps, WallStamps
 from cellctl.states import Command
 from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
+from hal.jobs import ProcessJobs
 
 TOKEN_FILE = "demo-token"
+LOOK_DEADLINE_S = 60.0
+"""Seconds of the wall that the page of a run's scans may take."""
 _log = logging.getLogger(__name__)
 
 
@@ -143,6 +146,9 @@ async def _services(
     )
     stack.push_async_callback(controller.shutdown)
     metrics = Metrics(controller, events)
+    # Its processes start with the first job: nobody may ever look at a scan.
+    jobs = ProcessJobs(deadline_s=LOOK_DEADLINE_S, modules=("cellctl.view.of_run",), stops_clock=False)
+    stack.push_async_callback(jobs.close)
 
     def check(name: str, version: int) -> Recipe:
         return fitting(book, workplace, name, version)
@@ -174,6 +180,7 @@ async def _services(
         metrics=metrics,
         not_ready=lambda: workplace.failure,
         time_left_s=workplace.time_left_s,
+        jobs=jobs,
         wall_s=settings.speed,
     ), auth
 

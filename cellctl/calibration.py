@@ -50,21 +50,31 @@ class ViewCalibration(_Section):
 
 
 class AxisLine(_Section):
-    """A line in the cell: the table's axis with the stage at 0, or the jack's travel."""
+    """A line in the cell: the table's axis with the stage at 0, or the jack's travel, with one sigma per axis.
+
+    `sigma_position_mm` is the place of the table's axis, or the straightness of the jack; `sigma_roll_deg` how far the
+    jack turns what it carries about its own line over the stroke.
+    """
 
     point_mm: Vector = (0.0, 0.0, 0.0)
     direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
     sigma_direction_deg: Deg = Field(default=0.0, ge=0)
     sigma_position_mm: Mm = Field(default=0.0, ge=0)
+    sigma_roll_deg: Deg = Field(default=0.0, ge=0)
 
 
 class Stage(_Section):
-    """Directions of the two stage axes in the cell frame, and their repeatability."""
+    """Directions of the two stage axes in the cell frame, and how true the axes are, one sigma.
+
+    `sigma_position_mm` and `sigma_table_deg` are the repeatability of stage and table; `sigma_encoder_deg` the rms over
+    one turn of the table's error that comes back with each turn (eccentric scale), which two near angles share.
+    """
 
     x_direction: tuple[float, float, float] = (1.0, 0.0, 0.0)
     y_direction: tuple[float, float, float] = (0.0, 1.0, 0.0)
     sigma_position_mm: Mm = Field(default=0.0, ge=0)
     sigma_table_deg: Deg = Field(default=0.0, ge=0)
+    sigma_encoder_deg: Deg = Field(default=0.0, ge=0)
 
 
 class ForceGain(_Section):

@@ -34,6 +34,7 @@ from cellctl.api.schemas import (
     Recipes,
     Run,
     Runs,
+    RunScans,
 )
 
 BASE = "/api/v1"
@@ -104,10 +105,21 @@ class CellClient:
         """Every result of every joint of a run."""
         return await self._get(Joints, f"/runs/{run_id}/joints")
 
+    async def scans(self, run_id: str) -> RunScans:
+        """Every cloud of a run."""
+        return await self._get(RunScans, f"/runs/{run_id}/scans")
+
+    async def save_scan_page(self, run_id: str, path: Path) -> None:
+        """Write the page of a run's newest measured scans to `path`."""
+        await self._save(f"/runs/{run_id}/scans/page", path)
+
     async def save_record(self, run_id: str, path: Path) -> None:
         """Write the sealed record of a run to `path`."""
+        await self._save(f"/runs/{run_id}/record", path)
+
+    async def _save(self, what: str, path: Path) -> None:
         loop = asyncio.get_running_loop()
-        async with self._http.stream("GET", f"{BASE}/runs/{run_id}/record") as answer:
+        async with self._http.stream("GET", BASE + what) as answer:
             if answer.is_error:
                 await answer.aread()
                 _refused(answer)

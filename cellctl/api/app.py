@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import FastAPI
 from starlette.types import ASGIApp
 
-from cellctl.api import cell, dry_runs, events, health, job_orders, openapi, page, problems, recipes, runs
+from cellctl.api import cell, dry_runs, events, health, job_orders, openapi, page, problems, recipes, runs, scans
 from cellctl.api.auth import undeclared
 from cellctl.api.limits import BodyLimits
 from cellctl.api.services import Services
@@ -21,7 +21,7 @@ def create_app(services: Services | None) -> FastAPI:
     # The documentation pages of FastAPI need files from outside the cell, so there are none.
     app = FastAPI(
         title="cellctl",
-        version="1.0.0",
+        version="1.1.0",
         summary="Cell controller of the shaft assembly",
         docs_url=None,
         redoc_url=None,
@@ -29,7 +29,7 @@ def create_app(services: Services | None) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.services = services
-    for module in (cell, job_orders, runs, recipes, dry_runs, events, openapi):
+    for module in (cell, job_orders, runs, scans, recipes, dry_runs, events, openapi):
         app.include_router(module.router, prefix=BASE)
     app.include_router(health.router, prefix=BASE)
     app.include_router(health.router, include_in_schema=False)

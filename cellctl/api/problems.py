@@ -17,6 +17,8 @@ from hal.errors import CellError
 
 PHRASES: Mapping[int, str] = MappingProxyType({413: "Content Too Large", 422: "Unprocessable Content"})
 """Phrases of RFC 9110 where the library of an older Python has an older one."""
+NOT_THERE = frozenset({"run_unknown", "scan_unknown", "scan_not_kept"})
+"""Codes of errors that say that there is no such thing (404); every other one is a fault of the cell (503)."""
 
 
 def title_of(status: int) -> str:
@@ -142,7 +144,7 @@ async def _refused(request: Request, error: Exception) -> JSONResponse:
 
 async def _cell_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, CellError)
-    status = 404 if error.code == "run_unknown" else 503
+    status = 404 if error.code in NOT_THERE else 503
     problem = Problem(title=title_of(status), status=status, detail=str(error), code=error.code)
     return answer(request, problem)
 

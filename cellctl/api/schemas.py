@@ -185,6 +185,26 @@ class JournalPage(Told):
     cursor: Count | None
 
 
+class RunScan(Told):
+    """One cloud of a run. `measured` says that it became a measurement, `refused` why it did not, where that was told.
+
+    `kept` says that the cloud is still there, so that a page can be made of a measured one.
+    """
+
+    view: str
+    frame_id: Count
+    taken: datetime
+    measured: bool
+    refused: str | None
+    kept: bool
+
+
+class RunScans(Told):
+    """Every cloud of a run, in the order in which they were taken."""
+
+    items: list[RunScan]
+
+
 class Joint(Told):
     """One joint in one stage; fields follow OPC 40451 in meaning. Null is a number that the gun never told."""
 

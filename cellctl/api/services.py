@@ -15,6 +15,7 @@ from cellctl.event_log import EventLog
 from cellctl.orders import OrderBook
 from cellctl.recipe_book import RecipeBook
 from cellctl.records.store import RunStore
+from hal.jobs import Jobs
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +23,7 @@ class Services:
     """Everything behind the API. `wall_s` is how many seconds of the loop's time one second of the wall lasts.
 
     `not_ready` says in one sentence why no order can be worked on, or is empty. `time_left_s` estimates the rest of
-    the run in cell time, None where nothing is known.
+    the run in cell time, None where nothing is known. `jobs` run what is heavy and no part of what the cell does.
     """
 
     cell_name: str
@@ -37,6 +38,7 @@ class Services:
     metrics: Metrics
     not_ready: Callable[[], str]
     time_left_s: Callable[[Snapshot], float | None]
+    jobs: Jobs
     wall_s: float = 1.0
 
 

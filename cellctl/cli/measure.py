@@ -12,9 +12,9 @@ import numpy as np
 
 from cellctl.calibration import Calibration, load_calibration
 from cellctl.cli.measure_alignment import alignment_document
-from cellctl.cli.measure_view import write_view
 from cellctl.recipe import Recipe, load_recipe
 from cellctl.scan_gates import gates_of
+from cellctl.view.page import Look, page
 from cellctl.vision.cloud import Unreadable, load_cloud
 from cellctl.vision.geometry import Array
 from cellctl.vision.measure import measure_part
@@ -32,7 +32,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--rotor", type=Path, help="cloud of the rotor")
     parser.add_argument("--shaft", type=Path, help="cloud of the shaft")
     parser.add_argument("--calibration", type=Path, help="scanner poses; without it both clouds are in one frame")
-    parser.add_argument("--view", type=Path, help="also write what was measured as a page (HTML)")
+    parser.add_argument("--view", type=Path, help="also write a page (HTML) that shows clouds, fits and residuals")
     parser.add_argument("--seed", type=int, default=0, help="seed of the plane search (default 0)")
     parser.add_argument("--json", action="store_true", help="one JSON document on standard output")
     parser.set_defaults(run=run)
@@ -43,38 +43,54 @@ def run(args: argparse.Namespace) -> int:
     try:
         recipe = load_recipe(args.recipe)
         calibration = load_calibration(args.calibration) if args.calibration else None
-        measured = _measure(args, recipe, calibration)
+        looks = _measure(args, recipe, calibration)
+        measured = {side: look.measured for side, look in looks.items()}
         document = as_document(measured)
         if len(measured) == 2:
             document["alignment"] = alignment_document(measured["rotor"], measured["shaft"], recipe, calibration)
         if args.view is not None:
-            write_view(args.view, document)
+            args.view.write_text(_page(looks, recipe, document), encoding="utf-8")
+        answer = json.dumps(document, allow_nan=False) if args.json else _as_text(measured, document)
     except Refused as refused:
-        document = {"refused": {"code": refused.code, "reason": refused.reason}}
-        print(json.dumps(document) if args.json else f"refused ({refused.code}): {refused.reason}")
-        return 3
+        return _refused(refused, args.json)
     except (Unreadable, ConfigError, OSError) as error:
         print(f"cellctl measure: {error}", file=sys.stderr)
         if args.json:
             print(json.dumps({"error": {"code": "unreadable", "reason": str(error)}}))
         return 2
-    print(json.dumps(document, allow_nan=False) if args.json else _as_text(measured, document))
+    except (ArithmeticError, LookupError, MemoryError, ValueError) as error:
+        # a cloud whose numbers defeat the arithmetic is refused like any other that cannot be measured
+        return _refused(Refused("not_measurable", f"the fit breaks down: {type(error).__name__}: {error}"), args.json)
+    print(answer)
     return 0
 
 
-def _measure(args: argparse.Namespace, recipe: Recipe, calibration: Calibration | None) -> dict[Side, PartMeasurement]:
+def _refused(refused: Refused, as_json: bool) -> int:
+    document = {"refused": {"code": refused.code, "reason": refused.reason}}
+    print(json.dumps(document) if as_json else f"refused ({refused.code}): {refused.reason}")
+    return 3
+
+
+def _measure(args: argparse.Namespace, recipe: Recipe, calibration: Calibration | None) -> dict[Side, Look]:
     clouds: dict[Side, Path | None] = {"rotor": args.rotor, "shaft": args.shaft}
     if not any(clouds.values()):
         raise ConfigError("no cloud is given", place="--rotor or --shaft")
-    result: dict[Side, PartMeasurement] = {}
+    result: dict[Side, Look] = {}
     for side in SIDES:
         path = clouds[side]
         if path is not None:
             part = recipe.part(side)
-            cloud = load_cloud(path)
+            points = load_cloud(path).points
             pose = _pose(calibration, side)
-            result[side] = measure_part(cloud.points, part, pose, gates=gates_of(recipe), seed=args.seed)
+            measured = measure_part(points, part, pose, gates=gates_of(recipe), seed=args.seed)
+            result[side] = Look(side, measured, part, points, pose, path.name)
     return result
+
+
+def _page(looks: dict[Side, Look], recipe: Recipe, document: dict[str, Any]) -> str:
+    facts = [("recipe", f"{recipe.recipe.id} version {recipe.recipe.version}"), ("frame", str(document["frame"]))]
+    rng = np.random.default_rng(0)
+    return page(tuple(looks.values()), rng, facts=facts, alignment=document.get("alignment"))
 
 
 def _pose(calibration: Calibration | None, side: Side) -> Array | None:
@@ -115,6 +131,7 @@ def _feature(feature: FeatureFit) -> dict[str, Any]:
         "center_mm": _plain(feature.center_mm),
         "axis": _plain(feature.axis),
         "radius_mm": _plain(feature.radius_mm),
+        "chamfer_radius_mm": _plain(feature.chamfer_radius_mm),
         "covariance_mm2": _plain(feature.covariance_mm2),
         "points": feature.points,
         "residual_mm": _plain(feature.residual_mm),

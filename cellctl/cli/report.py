@@ -5,15 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from cellctl.records.blobs import load
+from cellctl.records.chain import Row
 from cellctl.records.errors import RecordError
 from cellctl.records.journal import read_rows
 from cellctl.records.report import report_of
-from cellctl.records.store import report_from
-from cellctl.records.summary import RunSummary, summarise
+from cellctl.records.summary import summarise
 from cellctl.records.verify import read_record
+from cellctl.view.of_run import page_of
 
 
 def add_parser(subparsers: Any) -> None:
@@ -22,6 +26,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("run_id", metavar="RUN", help="id of a run in the data folder, or a sealed record")
     parser.add_argument("--data", type=Path, default=Path("data"), help="data folder (default data)")
     parser.add_argument("--out", type=Path, help="file to write (default RUN.html)")
+    parser.add_argument("--view", type=Path, help="also write a page (HTML) that shows the run's newest scans")
     parser.add_argument("--json", action="store_true", help="one JSON document on standard output")
     parser.set_defaults(run=run)
 
@@ -29,9 +34,12 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write and print where. Returns the exit code."""
     try:
-        text, summary = _report(args.run_id, args.data)
+        rows, blobs = _run(args.run_id, args.data)
+        summary = summarise(rows)
         out: Path = args.out or Path(f"{summary.run_id or 'run'}.html")
-        out.write_text(text, encoding="utf-8")
+        out.write_text(report_of(rows, blobs), encoding="utf-8")
+        if args.view is not None:
+            args.view.write_text(page_of(rows, blobs), encoding="utf-8")
     except (RecordError, OSError) as error:
         print(f"cellctl report: {error}", file=sys.stderr)
         if args.json:
@@ -42,12 +50,12 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _report(name: str, data: Path) -> tuple[str, RunSummary]:
+def _run(name: str, data: Path) -> tuple[tuple[Row, ...], Callable[[str], dict[str, Any]]]:
+    """Rows of the run's journal, and a reader of its blobs."""
     record = Path(name)
     if record.is_file():
-        rows, curves = read_record(record)
-        return report_of(rows, curves), summarise(rows)
+        return read_record(record)
     folder = data / "runs" / record.name
     if not (folder / "journal.sqlite").exists():
         raise FileNotFoundError(f"no run {name!r} in {data}, and no record of that name")
-    return report_from(folder), summarise(read_rows(folder / "journal.sqlite"))
+    return read_rows(folder / "journal.sqlite"), partial(load, folder / "blobs")

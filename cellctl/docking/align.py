@@ -8,6 +8,7 @@ import numpy as np
 
 from cellctl.calibration import Calibration
 from cellctl.docking.alignment import Alignment, AlignSpec, Station
+from cellctl.docking.best_pose import aim, type_a
 from cellctl.docking.joint import (
     Joint,
     arms_at,
@@ -15,17 +16,20 @@ from cellctl.docking.joint import (
     holes_at,
     joint_of,
     joints_of,
+    lags_at,
     offsets_at,
+    own_errors,
     pivot_at,
     seat,
     shaft_face_at,
 )
 from cellctl.docking.prior import believed
-from cellctl.docking.type_b import type_b
+from cellctl.docking.ripple import ripple_noise
+from cellctl.docking.type_b import causes, rigid
 from cellctl.kinematics import Array, AxesPosition
-from cellctl.vision.match import FaceMatch, HoleMatch, match_faces, match_holes, pairings, polish
+from cellctl.vision.match import FaceMatch, HoleMatch, match_faces, match_holes, pairings
 from cellctl.vision.part import PartMeasurement, Refused
-from cellctl.vision.uncertainty import Belief, TemperatureWindow, clearance, forecast, temperature_window
+from cellctl.vision.uncertainty import Belief, TemperatureWindow, clearance, forecast, root, temperature_window
 
 
 def align(
@@ -42,21 +46,44 @@ def align(
     """
     _require(rotor, shaft, spec)
     seen, target = _least_squares(rotor, shaft, calibration, measured_at, spec)
-    type_a = _match(seen, calibration, target, 1.0).covariance
-    joint = _believed(rotor, shaft, seen.partner, calibration, measured_at, spec)
+    joint, shares = _believed(rotor, shaft, seen.partner, calibration, measured_at, spec)
     target = _serve_the_worst(joint, calibration, target, spec)
+    measured = _measured(seen, joint, calibration, target)
+    systematic = causes(joint, calibration, measured_at, target, shares)
+    belief = _belief(joint, calibration, target, spec, np.concatenate([measured, systematic], axis=2))
+    aim_rng = np.random.default_rng((spec.seed, 1))
+    covariance_a = type_a(belief, measured, aim_rng)
+    covariance_b = rigid(systematic, belief.jacobian)
+    free = rotor.clocking_free or shaft.clocking_free
+    return _result(belief, joint, calibration, measured_at, target, spec, (covariance_a, covariance_b), free)
+
+
+def _belief(joint: Joint, calibration: Calibration, at: AxesPosition, spec: AlignSpec, shared_mm: Array) -> Belief:
+    """What is believed of the bolts with the axes at `at`, for causes (n, 2, k) that they share."""
     stations = spec.stations()
-    passes = [offsets_at(joint, calibration, target, station) for station in stations]
-    belief = Belief(
+    passes = [offsets_at(joint, calibration, at, station) for station in stations]
+    return Belief(
         offsets_mm=np.stack([offsets for offsets, _ in passes]),
-        growth_mm_per_k=_growth(joint, calibration, target, spec),
+        entering=np.array([station.entering for station in stations]),
+        lag_mm=lags_at(joint, calibration, at),
+        growth_mm_per_k=_growth(joint, calibration, at, spec),
         jacobian=passes[-1][1],
-        rigid_covariance=type_a + type_b(joint, calibration, measured_at, target),
-        scatter_mm2=np.stack([_scatter(joint, station) for station in stations]),
+        shared_mm=shared_mm,
+        own_mm=np.stack([own_errors(joint, station) for station in stations]),
         clearance_mm=spec.clearances(),
     )
-    free = rotor.clocking_free or shaft.clocking_free
-    return _result(belief, joint, calibration, measured_at, target, spec, type_a, free)
+
+
+def _measured(seen: Joint, joint: Joint, calibration: Calibration, at: AxesPosition) -> Array:
+    """(n, 2, 3) what the measurement leaves open in the place of the whole pattern, as rigid causes.
+
+    Each bolt is believed to lie a share s of its residual off the fitted pattern. Of the pattern's own error the bolts
+    follow 1 - s, which is the place of a pattern whose bolts have what the prior took from the variance.
+    """
+    _, jacobian = offsets_at(joint, calibration, at, Station(0.0))
+    taken = float(np.mean(seen.variance_mm2 - joint.variance_mm2))
+    normal = np.einsum("iak,ial->kl", jacobian, jacobian)
+    return np.asarray(jacobian @ root(max(taken, 0.0) * np.linalg.inv(normal)))
 
 
 def _believed(
@@ -66,12 +93,16 @@ def _believed(
     calibration: Calibration,
     measured_at: AxesPosition,
     spec: AlignSpec,
-) -> Joint:
-    """The joint as it is believed to be, the drawing's position tolerance taken into account."""
+) -> tuple[Joint, tuple[Array, Array]]:
+    """The joint as it is believed to be, the drawing's position tolerance taken into account.
+
+    Also the shares (n,) that are kept of what holes and studs were seen off their places.
+    """
     mirrored = tuple(-angle for angle in spec.angles_deg)
-    rotor = believed(rotor, mirrored, spec.position_sigma_mm)
-    shaft = believed(shaft, spec.angles_deg, spec.position_sigma_mm)
-    return joint_of(rotor, shaft, partner, calibration, measured_at)
+    sigma = spec.position_sigma_mm
+    rotor, studs = believed(rotor, mirrored, sigma, ripple_noise(rotor, calibration, "rotor"))
+    shaft, holes = believed(shaft, spec.angles_deg, sigma, ripple_noise(shaft, calibration, "shaft"))
+    return joint_of(rotor, shaft, partner, calibration, measured_at), (holes, studs[list(partner)])
 
 
 def _require(rotor: PartMeasurement, shaft: PartMeasurement, spec: AlignSpec) -> None:
@@ -155,18 +186,9 @@ def _growth(joint: Joint, calibration: Calibration, at: AxesPosition, spec: Alig
 
 def _serve_the_worst(joint: Joint, calibration: Calibration, target: AxesPosition, spec: AlignSpec) -> AxesPosition:
     """Minimax polish over every bolt and station, cold and at docking temperature."""
-    passes = [offsets_at(joint, calibration, target, station) for station in spec.stations()]
-    cold = np.concatenate([offsets for offsets, _ in passes])
-    hot = cold + spec.difference_k * np.tile(_growth(joint, calibration, target, spec), (len(passes), 1))
-    jacobian = np.tile(passes[-1][1], (2 * len(passes), 1, 1))
-    move = polish(np.concatenate([cold, hot]), jacobian, np.tile(spec.clearances(), 2 * len(passes)))
+    belief = _belief(joint, calibration, target, spec, np.zeros((len(joint.holes), 2, 0)))
+    move = aim(belief, spec.difference_k)
     return seat(joint, calibration, _moved(target, move, calibration), spec.rim_radius_mm)
-
-
-def _scatter(joint: Joint, station: Station) -> Array:
-    """Variance (n,) per axis of each bolt's offset at a station: centres, and axes by their lever arms."""
-    stud = joint.stud_lean_rad * (station.gap_mm + station.depth_mm)
-    return np.asarray(joint.variance_mm2 + stud**2 + (joint.hole_lean_rad * station.depth_mm) ** 2)
 
 
 def _faces(joint: Joint, calibration: Calibration, at: AxesPosition, spec: AlignSpec) -> FaceMatch:
@@ -202,12 +224,12 @@ def _result(
     measured_at: AxesPosition,
     target: AxesPosition,
     spec: AlignSpec,
-    covariance_a: Array,
+    covariances: tuple[Array, Array],
     clocking_free: bool,
 ) -> Alignment:
     cold_rng, hot_rng = np.random.default_rng(spec.seed).spawn(2)
     cold = forecast(belief, spec.contact, cold_rng, force_limit_n=spec.force_limit_n, samples=spec.samples)
-    seated = replace(belief, offsets_mm=belief.offsets_mm[-1:], scatter_mm2=belief.scatter_mm2[-1:])
+    seated = belief.seated()
     hot = forecast(
         seated,
         spec.contact,
@@ -221,8 +243,8 @@ def _result(
     faces = _faces(joint, calibration, apart, spec)
     match = _match(joint, calibration, target, float(belief.clearance_mm.min()))
     to_deg = np.diag([1.0, 1.0, 180.0 / np.pi])
-    type_a = to_deg @ covariance_a @ to_deg
-    both = to_deg @ belief.rigid_covariance @ to_deg
+    part_a, part_b = (to_deg @ covariance @ to_deg for covariance in covariances)
+    both = part_a + part_b
     grown = seated.offsets_mm + spec.difference_k * belief.growth_mm_per_k
     return Alignment(
         x_mm=target.x_mm - measured_at.x_mm,
@@ -234,8 +256,8 @@ def _result(
         gap_mm=_faces(joint, calibration, measured_at, spec).gap_mm,
         sigma_theta_deg=float(np.sqrt(both[2, 2])),
         sigma_xy_mm=float(np.sqrt(np.linalg.eigvalsh(both[:2, :2])[-1])),
-        covariance_a=type_a,
-        covariance_b=both - type_a,
+        covariance_a=part_a,
+        covariance_b=part_b,
         clearance_mm=clearance(belief.offsets_mm, belief.clearance_mm),
         clearance_hot_mm=clearance(grown, belief.clearance_mm),
         p_insert=cold.p_free,

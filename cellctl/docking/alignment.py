@@ -9,15 +9,20 @@ import numpy as np
 
 from cellctl.kinematics import Array, AxesPosition
 from cellctl.recipe import Recipe
-from cellctl.vision.uncertainty import ContactModel, TemperatureWindow
+from cellctl.vision.contact import ContactModel
+from cellctl.vision.uncertainty import TemperatureWindow
 
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A place on the way in where a stud can touch its hole: at this gap of the faces, this deep in the hole."""
+    """A place on the way in where a stud can touch its hole: at this gap of the faces, this deep in the hole.
+
+    `entering`: the stud's end passes the chamfer there, on which it wedges; elsewhere cylinder slides on cylinder.
+    """
 
     gap_mm: float
     depth_mm: float = 0.0
+    entering: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +58,16 @@ class AlignSpec:
     seed: int = 0
 
     def stations(self) -> tuple[Station, ...]:
-        """Tip at the hole's face, stud root at the hole's face, stud at the hole's far end; seated last."""
-        entry = (Station(self.stud_length_mm),) if self.stud_length_mm > 0 else ()
-        deep = (Station(0.0, self.hole_depth_mm),) if self.hole_depth_mm > 0 else ()
-        return (*entry, *deep, Station(0.0))
+        """Corners of the way in, between which offsets are straight lines; seated last.
+
+        Tip at the hole's face, tip at the hole's far end, stud at the hole's far end and at its face when seated.
+        """
+        length = self.stud_length_mm
+        deep = min(self.hole_depth_mm, length) if length > 0 else self.hole_depth_mm
+        entry = (Station(length, entering=True),) if length > 0 else ()
+        through = (Station(length - deep, deep),) if 0 < deep < length else ()
+        end = (Station(0.0, deep),) if deep > 0 else ()
+        return (*entry, *through, *end, Station(0.0, entering=not entry))
 
     def clearances(self) -> Array:
         """Radial clearance (n,) of each bolt, in the order of the shaft's holes."""

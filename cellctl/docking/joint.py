@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellctl.calibration import Calibration
 from cellctl.docking.alignment import Station
@@ -14,12 +15,33 @@ from cellctl.vision.part import FeatureFit, PartMeasurement
 
 
 @dataclass(frozen=True, slots=True)
+class Spread:
+    """How well the axes of n features are known, type A, per axis across the face and independent between features.
+
+    `place_mm2` (n,) variance of an axis' place at the height `pivot_mm` (n,) above the face; `lean_rad` (n,) one sigma
+    of its direction, independent of that place; `radius_mm` (n,) how wide the feature is.
+    """
+
+    place_mm2: Array
+    pivot_mm: Array
+    lean_rad: Array
+    radius_mm: Array
+
+    def lever_mm(self, height_mm: float) -> Array:
+        """(n,) what one sigma of the lean moves at that height above the face, signed."""
+        return np.asarray((height_mm - self.pivot_mm) * self.lean_rad)
+
+    def take(self, rows: NDArray[np.intp]) -> Spread:
+        """The features of some rows."""
+        return Spread(self.place_mm2[rows], self.pivot_mm[rows], self.lean_rad[rows], self.radius_mm[rows])
+
+
+@dataclass(frozen=True, slots=True)
 class Joint:
     """Holes in the table's frame (they turn and travel), studs in the cell. Row i of both belongs to bolt i.
 
     `holes`, `hole_axes`, `studs`, `stud_axes` (n, 3); `shaft_face`, `rotor_face` (2, 3) point and outward normal;
-    `shaft_origin` (3,) the pattern's centre; `variance_mm2` (n,) per axis of hole minus stud; `*_lean_rad` (n,) one
-    sigma of the axes' direction.
+    `shaft_origin` (3,) the pattern's centre; `hole_spread`, `stud_spread` how well the axes are known.
     """
 
     holes: Array
@@ -29,10 +51,14 @@ class Joint:
     studs: Array
     stud_axes: Array
     rotor_face: Array
-    variance_mm2: Array
-    hole_lean_rad: Array
-    stud_lean_rad: Array
+    hole_spread: Spread
+    stud_spread: Spread
     partner: tuple[int, ...]
+
+    @property
+    def variance_mm2(self) -> Array:
+        """(n,) per axis of hole minus stud, both at their faces."""
+        return np.asarray(np.sum(own_errors(self, Station(0.0)) ** 2, axis=1))
 
 
 def joint_of(
@@ -55,8 +81,8 @@ def joints_of(
 ) -> Iterator[Joint]:
     """One `Joint` for each pairing."""
     inverse = np.asarray(np.linalg.inv(T_cell_table(calibration, measured_at)), dtype=np.float64)
-    holes, hole_axes, hole_var, hole_lean = _lines(shaft.features, shaft.face.normal)
-    studs, stud_axes, stud_var, stud_lean = _lines(rotor.features, rotor.face.normal)
+    holes, hole_axes, hole_spread = _lines(shaft.features, shaft.face.normal)
+    studs, stud_axes, stud_spread = _lines(rotor.features, rotor.face.normal)
     turn = inverse[:3, :3]
     for partner in partners:
         k = np.array(partner, dtype=np.intp)
@@ -68,9 +94,8 @@ def joints_of(
             studs=studs[k],
             stud_axes=stud_axes[k],
             rotor_face=np.stack([rotor.face.point_mm, rotor.face.normal]),
-            variance_mm2=hole_var + stud_var[k],
-            hole_lean_rad=hole_lean,
-            stud_lean_rad=stud_lean[k],
+            hole_spread=hole_spread,
+            stud_spread=stud_spread.take(k),
             partner=partner,
         )
 
@@ -130,24 +155,45 @@ def offsets_at(joint: Joint, calibration: Calibration, seated: AxesPosition, sta
     return (places - studs) @ basis[:2].T, jacobian
 
 
+def lags_at(joint: Joint, calibration: Calibration, seated: AxesPosition) -> Array:
+    """(n,) by how much more travel than the first each bolt needs, because the faces are not parallel."""
+    u = basis_of(calibration)[2]
+    gaps = ((holes_at(joint, calibration, seated)[0] - joint.studs) @ u) / (joint.stud_axes @ u)
+    return np.asarray(gaps - gaps.min())
+
+
 def arms_at(joint: Joint, calibration: Calibration, at: AxesPosition) -> Array:
     """(n, 2) from the shaft's pattern centre to each hole, across the travel."""
     pose = T_cell_table(calibration, at)
     return np.asarray((joint.holes - joint.shaft_origin) @ pose[:3, :3].T @ basis_of(calibration)[:2].T)
 
 
-def _lines(features: tuple[FeatureFit, ...], normal: Array) -> tuple[Array, Array, Array, Array]:
-    """Centres and axes (n, 3) along `normal`, variance (n,) across it per axis, one sigma (n,) of direction in rad."""
-    centres, axes, variances, leans = [], [], [], []
+def own_errors(joint: Joint, station: Station) -> Array:
+    """(n, 3) one sigma per axis of what each bolt's offset is wrong by for itself: places, lean of stud, lean of hole.
+
+    Column by column the same error at every station of the way in.
+    """
+    places = np.sqrt(joint.hole_spread.place_mm2 + joint.stud_spread.place_mm2)
+    stud = joint.stud_spread.lever_mm(station.gap_mm + station.depth_mm)
+    return np.column_stack([places, stud, joint.hole_spread.lever_mm(-station.depth_mm)])
+
+
+def _lines(features: tuple[FeatureFit, ...], normal: Array) -> tuple[Array, Array, Spread]:
+    """Centres and axes (n, 3), these along `normal`, and how well both are known across it."""
+    centres, axes, places, pivots, leans, radii = [], [], [], [], [], []
     across = np.eye(3) - np.outer(normal, normal)
     for feature in features:
         assert feature.center_mm is not None and feature.covariance_mm2 is not None
-        axis = normal if feature.axis is None else feature.axis * np.sign(feature.axis @ normal)
+        lean = np.radians(feature.axis_sigma_deg or 0.0)
+        face = 0.5 * float(np.trace(across @ feature.covariance_mm2 @ across))
         centres.append(feature.center_mm)
-        axes.append(axis)
-        variances.append(0.5 * float(np.trace(across @ feature.covariance_mm2 @ across)))
-        leans.append(np.radians(feature.axis_sigma_deg or 0.0))
-    return np.array(centres), np.array(axes), np.array(variances), np.array(leans)
+        axes.append(normal if feature.axis is None else feature.axis * np.sign(feature.axis @ normal))
+        places.append(max(face - (feature.pivot_mm * lean) ** 2, 0.0))
+        pivots.append(feature.pivot_mm)
+        leans.append(lean)
+        radii.append(feature.radius_mm or 0.0)
+    spread = Spread(np.array(places), np.array(pivots), np.array(leans), np.array(radii))
+    return np.array(centres), np.array(axes), spread
 
 
 def _apply(pose: Array, points: Array) -> Array:

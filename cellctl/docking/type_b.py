@@ -1,7 +1,7 @@
-"""Type B covariance of the docking pose: every calibration value moved by one sigma, its effect at the docking height.
+"""Type B: every calibration value moved by one sigma, and what that does to the bolts at the docking height.
 
 The levers come by themselves: a view's rotation acts at the distance of the part, the jack line's over the travel,
-the table axis' over the turn.
+the table's over the turn.
 """
 
 from __future__ import annotations
@@ -14,25 +14,52 @@ import numpy as np
 from cellctl.calibration import AxisLine, Calibration
 from cellctl.docking.alignment import Station
 from cellctl.docking.joint import Joint, offsets_at
+from cellctl.docking.ripple import rigid_motion, ripple_causes
 from cellctl.kinematics import Array, AxesPosition, T_cell_table, rotation_about
 
 _SEATED = Station(0.0)
 
 
-def type_b(joint: Joint, calibration: Calibration, measured_at: AxesPosition, target: AxesPosition) -> Array:
-    """(3, 3) covariance of (x mm, y mm, turn rad) of the shaft against the rotor, axes at `target`."""
+def causes(
+    joint: Joint,
+    calibration: Calibration,
+    measured_at: AxesPosition,
+    target: AxesPosition,
+    shares: tuple[Array, Array] | None = None,
+) -> Array:
+    """(n, 2, k) change of each bolt's offset by one sigma of k independent causes, axes at `target`.
+
+    `shares` (n,) of hole and stud: how much is kept of what each was seen off its place; all of it by default.
+    """
     offsets, jacobian = offsets_at(joint, calibration, target, _SEATED)
-    normal = np.einsum("iak,ial->kl", jacobian, jacobian)
-    effects = [
-        np.linalg.solve(normal, np.einsum("iak,ia->k", jacobian, moved - offsets))
-        for moved in _worlds(joint, calibration, measured_at, target)
-    ]
-    stage = calibration.stage
-    effects += list(np.diag([stage.sigma_position_mm, stage.sigma_position_mm, np.radians(stage.sigma_table_deg)]))
-    straightness = calibration.jack_line.sigma_position_mm
-    effects += list(np.diag([straightness, straightness, 0.0])[:2])
-    rows = np.array(effects)
-    return np.asarray(rows.T @ rows)
+    table = T_cell_table(calibration, measured_at)
+    effects = [moved - offsets for moved in _worlds(joint, calibration, measured_at, target)]
+    effects += list(np.einsum("iak,ck->cia", jacobian, _motions(calibration, measured_at, target)))
+    whole = np.ones(len(offsets))
+    waves = ripple_causes(
+        joint, calibration, table, shares or (whole, whole), lambda seen: offsets_at(seen, calibration, target, _SEATED)
+    )
+    return np.concatenate([np.moveaxis(np.array(effects), 0, -1), waves], axis=2)
+
+
+def rigid(effects: Array, jacobian: Array) -> Array:
+    """(3, 3) covariance of the rigid motion (x mm, y mm, turn rad) that the causes (n, 2, k) amount to."""
+    motions = rigid_motion(effects, jacobian)
+    return np.asarray(motions @ motions.T)
+
+
+def _motions(calibration: Calibration, measured_at: AxesPosition, target: AxesPosition) -> Array:
+    """(c, 3) motions of the whole shaft (x mm, y mm, turn rad) by one sigma of each axis' own error.
+
+    An eccentric encoder is off by a wave over the turn: between two angles a turn D apart by 2 sigma sin(D / 2) rms.
+    """
+    stage, jack = calibration.stage, calibration.jack_line
+    turn = np.radians(target.theta_deg - measured_at.theta_deg)
+    encoder = 2.0 * np.radians(stage.sigma_encoder_deg) * np.sin(0.5 * turn)
+    angles = [np.radians(stage.sigma_table_deg), encoder, np.radians(jack.sigma_roll_deg)]
+    shifts = [stage.sigma_position_mm, jack.sigma_position_mm]
+    along_x, along_y, about = np.eye(3)
+    return np.array([shift * axis for shift in shifts for axis in (along_x, along_y)] + [a * about for a in angles])
 
 
 def _worlds(joint: Joint, calibration: Calibration, measured_at: AxesPosition, target: AxesPosition) -> Iterator[Array]:
@@ -52,20 +79,14 @@ def _worlds(joint: Joint, calibration: Calibration, measured_at: AxesPosition, t
 
 
 def _view_errors(calibration: Calibration, view: str) -> Iterator[Array]:
-    """Rigid errors (4, 4) of one view, about the scanner: three turns, three shifts, two tilts by long-wave ripple."""
+    """Rigid errors (4, 4) of one view: three turns about the scanner, three shifts."""
     belief = calibration.views["rotor" if view == "rotor" else "shaft"]
     scanner = belief.matrix[:3, 3]
-    ripple = calibration.scanner.sigma_ripple_mm
     for axis in np.eye(3):
         yield _about(scanner, rotation_about(axis, np.radians(belief.sigma_rotation_deg)))
         shift = np.eye(4)
         shift[:3, 3] = axis * belief.sigma_translation_mm
         yield shift
-    for axis in np.eye(3)[:2]:
-        # Ripple of the depth that looks like a plane: along the rays it moves the part sideways by about a fifth.
-        bent = np.eye(4)
-        bent[:3, 3] = 0.2 * ripple * axis
-        yield bent
 
 
 def _axis_errors(calibration: Calibration) -> Iterator[Calibration]:

@@ -138,6 +138,11 @@ def load(folder: Path, digest: str) -> dict[str, NDArray[Any]]:
     return arrays
 
 
+def is_kept(folder: Path, digest: str) -> bool:
+    """Whether the blob with that content hash is there. Blocking."""
+    return (folder / f"{digest}.npz").exists()
+
+
 def dropped_by(keep: Keep, rows: tuple[Row, ...]) -> frozenset[str]:
     """Hashes of the scans that the policy does not keep, from a run's journal.
 

@@ -4,6 +4,8 @@
 
     CellError
     └── RecordError
+        ├── ScanUnknown          the run has no scan of that kind that was measured
+        ├── ScanNotKept          the scan was measured, its cloud was dropped by the policy
         ├── JournalUnavailable   a row or blob could not be made durable (disk full, read-only, closed)
         ├── RecordCorrupt        what is on disk is not what was written
         └── UnknownRun           no run of that id is stored
@@ -31,6 +33,18 @@ class RecordCorrupt(RecordError):
     """What is on disk is not what was written; the reason says where."""
 
     code = "record_corrupt"
+
+
+class ScanUnknown(RecordError):
+    """The run has no scan of that kind that was measured."""
+
+    code = "scan_unknown"
+
+
+class ScanNotKept(RecordError):
+    """The scan was measured, but its cloud is not kept."""
+
+    code = "scan_not_kept"
 
 
 class UnknownRun(RecordError):

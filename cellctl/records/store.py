@@ -21,13 +21,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cellctl.records.blobs import BlobStore, Keep, dropped_by, load
+from cellctl.records.blobs import BlobStore, Keep, dropped_by, is_kept, load
 from cellctl.records.canonical import canonical
 from cellctl.records.chain import Row, head_of
 from cellctl.records.errors import JournalUnavailable, RecordCorrupt, UnknownRun
 from cellctl.records.journal import Journal, open_intents, read_rows
 from cellctl.records.ledger import JournalLedger
 from cellctl.records.report import report_of
+from cellctl.records.scans import RunScan, run_scans
 from cellctl.records.seal import Sealing, cell_key, seal
 from cellctl.records.summary import RunEnded, RunHeader, RunSummary, as_plain, from_plain, summarise
 from cellctl.stamps import Stamps
@@ -127,6 +128,20 @@ class RunStore:
         if not re.fullmatch(r"[0-9a-f]{64}", digest):
             raise RecordCorrupt("not a content hash")
         return await self._job(lambda: load(folder / "blobs", digest))
+
+    async def scans(self, run_id: str) -> tuple[tuple[RunScan, bool], ...]:
+        """Every scan of a run in the order in which they were taken, and whether its cloud is kept."""
+        folder = self._existing(run_id)
+
+        def found() -> tuple[tuple[RunScan, bool], ...]:
+            scans = run_scans(read_rows(folder / "journal.sqlite"))
+            return tuple((scan, is_kept(folder / "blobs", scan.blob)) for scan in scans)
+
+        return await self._job(found)
+
+    def folder_of(self, run_id: str) -> Path:
+        """Where a run lies, for work in another process. Raises UnknownRun."""
+        return self._existing(run_id)
 
     async def report(self, run_id: str) -> str:
         """HTML report, from what is in the journal now."""

@@ -82,7 +82,9 @@ async def measure(run: RunContext, side: Side) -> PartMeasurement:
             if error.code not in RETAKEN:
                 break
             continue
-        await run.ledger.note("measurement", {"side": side, "frame_id": frame.frame_id, "measurement": measurement})
+        pose = run.calibration.views[side].matrix
+        value = {"side": side, "frame_id": frame.frame_id, "T_cell_scanner": pose, "measurement": measurement}
+        await run.ledger.note("measurement", value)
         return measurement
     assert refusal is not None
     raise RunHeld(refusal.code, f"no good scan of the {side}: {refusal.reason}") from refusal

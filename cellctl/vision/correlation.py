@@ -36,7 +36,7 @@ class Correlation:
 class PixelGrid:
     """Where points lie in an organised cloud: `table` holds the row of each pixel's point, -1 where there is none."""
 
-    table: NDArray[np.int64]
+    table: NDArray[np.int32]
     rows: Indices
     columns: Indices
 
@@ -47,11 +47,11 @@ class PixelGrid:
             return None
         rows, columns = np.divmod(pixels, shape[1])
         rows, columns = rows - rows.min() + reach, columns - columns.min() + reach
-        table = np.full((int(rows.max()) + 1 + reach, int(columns.max()) + 1 + reach), -1, dtype=np.int64)
-        table[rows, columns] = np.arange(len(pixels))
+        table = np.full((int(rows.max()) + 1 + reach, int(columns.max()) + 1 + reach), -1, dtype=np.int32)
+        table[rows, columns] = np.arange(len(pixels), dtype=np.int32)
         return cls(table, rows.astype(np.intp), columns.astype(np.intp))
 
-    def neighbour(self, down: int, right: int) -> NDArray[np.int64]:
+    def neighbour(self, down: int, right: int) -> NDArray[np.int32]:
         """Row of the point that lies `down`, `right` of each point, -1 where there is none."""
         return np.asarray(self.table[self.rows + down, self.columns + right])
 
@@ -78,7 +78,7 @@ def estimate(grid: PixelGrid, residuals: Array) -> Correlation:
 class Whitener:
     """Takes from every row what its neighbours before it already tell (Vecchia, J. R. Stat. Soc. B 50 (1988) 297)."""
 
-    neighbours: NDArray[np.int64]
+    neighbours: NDArray[np.int32]
     shares: Array
     spread: Array
 
@@ -103,8 +103,8 @@ class Whitener:
         return cls(np.where(there, found, 0), shares, np.sqrt(np.maximum(1.0 - told, 1e-6)))
 
     def apply(self, rows: Array) -> Array:
-        """Independent rows (N, k) of unit variance from correlated ones."""
+        """Independent rows (k, N) of unit variance from correlated ones."""
         told = np.zeros_like(rows)
         for column in range(self.neighbours.shape[1]):
-            told += self.shares[:, column, None] * rows[self.neighbours[:, column]]
-        return np.asarray((rows - told) / self.spread[:, None])
+            told += self.shares[:, column] * rows[:, self.neighbours[:, column]]
+        return np.asarray((rows - told) / self.spread)

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame
-from cellctl.vision.grid import Void, find_islands, find_voids, rasterise, spacing
+from cellctl.vision.grid import Void, find_voids, rasterise, spacing
 from cellctl.vision.holes import void_radii
+from cellctl.vision.likeness import by_likeness
+from cellctl.vision.outline import edge_band_mm
 from cellctl.vision.part import Part, Refused
-from cellctl.vision.pattern import PatternPose, find_pattern, nominal, symmetry
+from cellctl.vision.pattern import CLEAR_MARGIN, PatternPose, blind_to_sizes, find_patterns, nominal, symmetry
 from cellctl.vision.plane import Plane, find_planes
+from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, stand_on, tip_levels
 
-RANSAC_POINTS = 20_000
+RANSAC_POINTS = 12_000
 MAX_NOISE_MM = 0.5
-CELLS_PER_SPACING = 1.6
+LEAST_DISTANCE_MM = 100.0
+CLEAR_SIDE, SIDE_POINTS = 5.0, 200_000
+"""Standard deviations by which the holes tell the side, and how many points are looked at."""
+RIVALS, MOST_RIVALS = 0.25, 8  # poses that score so much less, per feature, are told apart by their outlines
+LEAST_LIKENESS = 0.25  # per feature: chance voids in a few of the places are no pattern
+CELLS_PER_SPACING, CELLS_PER_RADIUS = 1.6, 4.0
+THINNED_POINTS = 120_000
+"""As many points show where the face and its pattern are; finer sampling serves the fits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,47 +43,127 @@ class Face:
     pattern: PatternPose
 
 
-def find_face(points: Array, part: Part, eye: Array, reference: Array, rng: np.random.Generator) -> Face:
-    """The face among clutter in points (N, 3), all finite. `eye` (3,) is the side it is seen from, `reference` (3,)
-    the direction that a clocking of 0 is nearest to.
+@dataclass(frozen=True, slots=True)
+class _Thinned:
+    """A share of the points, evenly spread; `cells` is the raster's cell in spacings that leaves no gaps."""
+
+    points: Columns
+    share: float
+    cells: float
+
+
+def find_face(points: Columns, part: Part, eye: Array | None, reference: Array, rng: np.random.Generator) -> Face:
+    """The face among clutter. `eye` (3,) is the side it is seen from, None where only the points can tell; `reference`
+    (3,) the direction that a clocking of 0 is nearest to.
 
     Raises Refused: face_not_found, too_noisy, too_coarse, features_missing, pattern_ambiguous.
     """
-    sample = points if len(points) <= RANSAC_POINTS else points[rng.integers(0, len(points), RANSAC_POINTS)]
-    planes = find_planes(sample, rng)
-    if not planes:
-        raise Refused("face_not_found", "no plane was found in the cloud")
-    if planes[0].sigma_mm > MAX_NOISE_MM:
-        raise Refused("too_noisy", f"the largest plane scatters by {planes[0].sigma_mm:.2f} mm")
+    some = points if len(points) <= RANSAC_POINTS else points.take(rng.integers(0, len(points), RANSAC_POINTS))
+    densities = [_Thinned(points, 1.0, CELLS_PER_SPACING)]
+    sized = part.diameter_mm is not None or (part.feature == "stud" and part.thread is not None)
+    if len(points) > 2 * THINNED_POINTS and sized:
+        densities.insert(0, _thinned(points, rng))
     best: Face | None = None
     refusal: Refused | None = None
-    for plane in planes:
+    seen = 0
+    for seen, plane in enumerate(find_planes(some.stacked(), rng), start=1):
+        if seen == 1 and plane.sigma_mm > MAX_NOISE_MM:
+            raise Refused("too_noisy", f"the largest plane scatters by {plane.sigma_mm:.2f} mm")
         try:
-            face = _try_plane(points, plane, part, eye, reference)
+            face = _try_plane(densities, plane, part, eye, reference)
         except Refused as error:
             refusal = refusal or error
             continue
         # planes come largest first: a smaller one must show the pattern plainly better
         if face is not None and (best is None or face.pattern.score > best.pattern.score + 0.1 * part.count):
             best = face
-        if best is not None and best.pattern.matched == part.count and best.pattern.score > 0.9 * part.count:
+        if best is not None and best.pattern.matched == part.count and best.pattern.score > 0.8 * part.count:
             break
+    if seen == 0:
+        raise Refused("face_not_found", "no plane was found in the cloud")
     if best is None:
         raise refusal or Refused("features_missing", "no plane in view carries the nominal pattern")
     return best
 
 
-def _try_plane(points: Array, plane: Plane, part: Part, eye: Array, reference: Array) -> Face | None:
-    """The plane with the pattern on it, None where no pattern shows."""
-    toward = plane.normal if plane.residuals(eye) > 0.0 else -plane.normal
+def _thinned(points: Columns, rng: np.random.Generator) -> _Thinned:
+    """Every so many-th row and column of a grid, or a random share of an unorganised cloud."""
+    if points.pixels is None:
+        chosen = np.unique(rng.integers(0, len(points), 2 * THINNED_POINTS))
+        return _Thinned(points.take(chosen), len(chosen) / len(points), 1.4 * CELLS_PER_SPACING)
+    step = int(np.ceil(np.sqrt(len(points) / THINNED_POINTS)))
+    height, width = points.shape
+    picked = np.zeros((height, width), dtype=np.bool_)
+    picked[::step, ::step] = True
+    chosen = np.flatnonzero(picked.reshape(-1)[points.pixels])
+    return _Thinned(points.take(chosen), 1.0 / step**2, CELLS_PER_SPACING)
+
+
+def _try_plane(densities: list[_Thinned], plane: Plane, part: Part, eye: Array | None, reference: Array) -> Face | None:
+    """The plane with the pattern on it, None where no pattern shows.
+
+    Where nobody knows the eye, the origin is tried first, as in a scanner's own frame; the points have the last word.
+    """
+    toward = plane.normal if plane.residuals(np.zeros(3) if eye is None else eye) > 0.0 else -plane.normal
+    if eye is not None:
+        return _try_side(densities, plane, toward, part, reference)
+    refusal: Refused | None = None
+    unsure: Face | None = None
+    for side in (toward, -toward):
+        try:
+            face = _try_side(densities, plane, side, part, reference)
+        except Refused as error:
+            refusal = refusal or error
+            continue
+        if face is None:
+            continue
+        front = np.inf if part.feature == "stud" else _seen_in_front(densities[0].points, face, part)
+        if front > CLEAR_SIDE:
+            return face
+        unsure = unsure or (face if front > -CLEAR_SIDE else None)
+    if unsure is not None and not before_the_eye(unsure.frame, np.zeros(3)):
+        refusal, unsure = Refused("pattern_ambiguous", "nothing shows from which side the face was seen"), None
+    if unsure is None and refusal is not None:
+        raise refusal
+    return unsure
+
+
+def before_the_eye(frame: PlaneFrame, eye: Array) -> bool:
+    """Whether a scanner at `eye` (3,) could look at the face of this frame: from well before it, not from aside."""
+    u, v, height = frame.into(eye)
+    return bool(height > LEAST_DISTANCE_MM and np.hypot(u, v) < height)
+
+
+def _seen_in_front(points: Columns, face: Face, part: Part) -> float:
+    """How surely what shows in the holes lies behind the face, in standard deviations; negative where it lies before.
+
+    A hole shows its wall, its bottom or what stands behind the part; nothing of it stands before the face. Wrong
+    depths fall on both sides alike, so that their difference is a random walk.
+    """
+    deepest = max(part.depth_mm or 0.0, 3.0 * float(face.radii_mm.max()))
+    local = points.into(face.frame)
+    height = np.abs(local.z)
+    off = np.flatnonzero((height > 6.0 * face.plane.sigma_mm) & (height < deepest))
+    local = local.take(off[:: max(1, len(off) // SIDE_POINTS)])
+    query = cKDTree(nominal(part)).query(np.stack([local.x, local.y], axis=1))
+    inside = np.asarray(query[0]) < face.radii_mm[np.asarray(query[1])] + 0.5 * face.spacing_mm
+    behind, before = int((local.z[inside] < 0.0).sum()), int((local.z[inside] > 0.0).sum())
+    return (behind - before) / math.sqrt(max(behind + before, 1))
+
+
+def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part, reference: Array) -> Face | None:
+    """The pattern on a plane seen from the side of `toward` (3,). Thinned points serve where they are fine enough."""
     frame = PlaneFrame.on(plane.normal * plane.distance_mm, toward)
-    height = (points - frame.origin) @ toward
-    on = np.abs(height) < 5.0 * plane.sigma_mm
-    if np.count_nonzero(on) < 100:
-        return None
-    uv = frame.into(points[on])[:, :2]
-    space = spacing(uv, coarse_mm=0.012 * part.circle_diameter_mm + 1.0)
-    voids = _holes(uv, part, space) if part.feature == "hole" else _studs(frame, points, height, part, space)
+    for thinned in densities:
+        local = thinned.points.into(frame)
+        on = np.abs(local.z) < 5.0 * plane.sigma_mm
+        if np.count_nonzero(on) < 100:
+            return None
+        uv = np.stack([local.x[on], local.y[on]], axis=1, dtype=np.float64)
+        space = spacing(uv, coarse_mm=0.012 * part.circle_diameter_mm + 1.0)
+        if thinned is densities[-1] or _fine_enough(part, thinned.cells * space):
+            break
+    voids = _holes(uv, part, space, thinned.cells) if part.feature == "hole" else _studs(local, uv, part, space)
     if len(voids) < 3:
         return None
     positions = np.stack([void.position_mm for void in voids])
@@ -78,14 +171,35 @@ def _try_plane(points: Array, plane: Plane, part: Part, eye: Array, reference: A
     # chance voids are small: a large one weighs more, up to the usual size
     scores = np.array([void.score for void in voids]) * np.minimum(1.0, radii / np.quantile(radii, 0.75)) ** 2
     tolerance = max(0.006 * part.circle_diameter_mm, 2.0 * space)
-    pattern = find_pattern(part, positions, radii, scores, tolerance)
-    if pattern is None or pattern.matched < max(3, int(np.ceil(0.5 * part.count))):
+    # where only sizes tell the clocking, walls tell it later: what the face shows of a size is torn and chamfered
+    blind = blind_to_sizes(part)
+    least = max(3, int(np.ceil(0.5 * part.count)))
+    rivals = find_patterns(blind, positions, radii, scores, tolerance, within=max(1.0, RIVALS * part.count))
+    rivals = [pattern for pattern in rivals if pattern.matched >= least]
+    if part.feature == "hole" and (len(rivals) > 1 or any(pattern.matched < part.count for pattern in rivals)):
+        edge = np.abs(local.z) < edge_band_mm(plane.sigma_mm, space)
+        face = np.stack([local.x[edge], local.y[edge]], axis=1, dtype=np.float64)
+        sizes = [_matched_radii(part, pose, positions, radii) for pose in rivals[:MOST_RIVALS]]
+        judged = by_likeness(rivals[:MOST_RIVALS], face, part, np.stack(sizes), space) if rivals else []
+        rivals = [pose for pose in judged if pose.score > LEAST_LIKENESS * part.count]
+    if not rivals:
         return None
-    pattern = _nearest_to(pattern, frame, part, reference)
-    return Face(plane, _pattern_frame(frame, pattern), space, _matched_radii(part, pattern, positions, radii), pattern)
+    if len(rivals) > 1 and rivals[1].score > rivals[0].score - CLEAR_MARGIN:
+        raise Refused("pattern_ambiguous", "two clockings of the pattern are met equally well")
+    _refuse_further(part, rivals[0], positions, radii, scores, tolerance)
+    pattern = _nearest_to(rivals[0], frame, blind, reference)
+    radii = _matched_radii(part, pattern, positions, radii)
+    return Face(plane, _pattern_frame(frame, pattern), space * float(np.sqrt(thinned.share)), radii, pattern)
 
 
-def _holes(uv: Array, part: Part, space: float) -> list[Void]:
+def _fine_enough(part: Part, cell_mm: float) -> bool:
+    """Whether a raster with such cells shows the part's features: a hole's radius is 1.5 cells, a stud's two."""
+    if part.feature == "stud":
+        return 2.0 * cell_mm < (radius_of(part) or 0.0)
+    return 1.5 * cell_mm < float(np.nanmin(void_radii(part)))
+
+
+def _holes(uv: Array, part: Part, space: float, cells: float) -> list[Void]:
     """Voids of about the expected sizes. Without sizes in the recipe a range of sizes is looked for."""
     expected = void_radii(part)
     known = np.unique(expected[np.isfinite(expected)])
@@ -101,20 +215,48 @@ def _holes(uv: Array, part: Part, space: float) -> list[Void]:
         radii = np.geomspace(3.0 * space, largest, 9) if largest > 3.0 * space else np.array([largest])
     if float(radii.min()) < 1.6 * space:
         raise Refused("too_coarse", f"point spacing {space:.2f} mm is too coarse for holes of {2 * radii.min():.1f} mm")
-    raster = rasterise(uv, CELLS_PER_SPACING * space, margin_mm=float(radii.max()))
-    return find_voids(raster, tuple(float(radius) for radius in radii))
+    cell = min(cells * space, max(float(radii.min()) / CELLS_PER_RADIUS, 0.5 * space))
+    raster = rasterise(uv, cell, margin_mm=float(radii.max()))
+    gap = max(2, int(np.ceil(0.9 * cells * space / cell)))
+    return find_voids(raster, tuple(float(radius) for radius in radii), gap=gap)
 
 
-def _studs(frame: PlaneFrame, points: Array, height: Array, part: Part, space: float) -> list[Void]:
-    """Groups of points as high above the plane as the outer half of a stud."""
-    length = part.length_mm or 0.1 * part.circle_diameter_mm
-    above = (height > 0.6 * length) & (height < 1.03 * length)
-    if np.count_nonzero(above) < 3 * part.count:
-        return []
-    uv = frame.into(points[above])[:, :2]
-    size = part.thread.major_diameter_mm if part.thread else (part.diameter_mm or (0.03 * part.circle_diameter_mm,))[0]
-    raster = rasterise(uv, max(space, 0.1 * size), margin_mm=size)
-    return [void for void in find_islands(raster, least=6) if void.radius_mm < 1.5 * size]
+def _studs(local: Columns, on_plane: Array, part: Part, space: float) -> list[Void]:
+    """Ends of studs: discs of points at one height above the plane, whose points (N, 2) lie around them."""
+    above = np.flatnonzero(local.z > LEAST_HEIGHT_MM)
+    height = local.z[above].astype(np.float64)
+    uv = np.stack([local.x[above], local.y[above]], axis=1, dtype=np.float64)
+    most: list[Void] = []
+    for level in tip_levels(height, part):
+        tips = find_tips(uv, height, part, space, level)
+        if len(tips) > len(most) and stand_on(tips, on_plane, uv):
+            most = tips
+        if 2 * len(most) > part.count:
+            break
+    return most
+
+
+def _refuse_further(
+    part: Part, pattern: PatternPose, positions: Array, radii: Array, scores: Array, tolerance_mm: float
+) -> None:
+    """Refuse (wrong_part) a circle that carries further features like those of the pattern between its places."""
+    places = _placed(part, pattern)
+    distance = np.hypot(*(positions[:, None] - places[None]).transpose(2, 0, 1)).min(axis=1)
+    met = distance < tolerance_mm
+    if not met.any():
+        return
+    size, score = np.median(radii[met]), np.median(scores[met])
+    on = np.abs(np.hypot(*(positions - pattern.centre_mm).T) - 0.5 * part.circle_diameter_mm) < tolerance_mm
+    alike = (np.abs(radii - size) < 0.2 * size) & (scores > 0.8 * score)
+    further = int(np.count_nonzero(on & alike & (distance > tolerance_mm + size)))
+    if further >= max(2.0, 0.25 * part.count):
+        raise Refused("wrong_part", f"{further} further features stand on the circle of {part.count}")
+
+
+def _placed(part: Part, pattern: PatternPose) -> Array:
+    """Nominal places (n, 2) in the plane's coordinates."""
+    c, s = np.cos(pattern.clocking_rad), np.sin(pattern.clocking_rad)
+    return np.asarray(pattern.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]]))
 
 
 def _nearest_to(pattern: PatternPose, frame: PlaneFrame, part: Part, reference: Array) -> PatternPose:
@@ -135,8 +277,7 @@ def _pattern_frame(frame: PlaneFrame, pattern: PatternPose) -> PlaneFrame:
 
 def _matched_radii(part: Part, pattern: PatternPose, positions: Array, radii: Array) -> Array:
     """Radius of the void at each nominal place: the one seen there, else what the recipe or the others say."""
-    c, s = np.cos(pattern.clocking_rad), np.sin(pattern.clocking_rad)
-    places = pattern.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]])
+    places = _placed(part, pattern)
     distance = np.hypot(*(places[:, None] - positions[None]).transpose(2, 0, 1))
     nearest = distance.argmin(axis=1)
     seen = np.where(distance[np.arange(part.count), nearest] < radii[nearest], radii[nearest], np.nan)

@@ -12,6 +12,8 @@ from cellctl.vision.geometry import Array
 
 Bits = NDArray[np.bool_]
 MAX_CELLS = 4096
+MAX_VOIDS = 600
+"""Five times the features of the largest pattern: the pattern is voted for by all pairs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,11 +24,10 @@ class Raster:
     low: Array
     cell_mm: float
 
-    @property
-    def covered(self) -> Bits:
-        """(U, V) which cells hold a point; single empty cells between covered ones count as covered."""
-        square = np.ones((2, 2), dtype=np.bool_)
-        return np.asarray(ndimage.binary_closing(np.pad(self.counts > 0, 1), square)[1:-1, 1:-1])
+    def covered(self, gap: int = 2) -> Bits:
+        """(U, V) which cells hold a point; gaps between covered ones that hold no square of `gap` cells count too."""
+        square = np.ones((gap, gap), dtype=np.bool_)
+        return np.asarray(ndimage.binary_closing(np.pad(self.counts > 0, gap), square)[gap:-gap, gap:-gap])
 
     def position(self, cells: Array) -> Array:
         """Plane coordinates (n, 2) of cell centres (n, 2)."""
@@ -44,8 +45,9 @@ class Void:
 
 def spacing(uv: Array, *, coarse_mm: float) -> float:
     """Mean point spacing in mm on a surface of plane coordinates (N, 2), from the density of the covered part."""
-    cells = np.floor((uv - uv.min(axis=0)) / coarse_mm).astype(np.int64)
-    counts = np.bincount(cells[:, 0] * (int(cells[:, 1].max()) + 1) + cells[:, 1])
+    rows, columns = ((side - side.min()) * (1.0 / coarse_mm) for side in np.ascontiguousarray(uv.T))
+    cells = rows.astype(np.int64) * (int(columns.max()) + 1) + columns.astype(np.int64)
+    counts = np.bincount(cells)
     # cells weighted by their points: the rim's cells and strays count little
     mean = float((counts.astype(np.float64) ** 2).sum() / counts.sum())
     return coarse_mm / float(np.sqrt(max(mean, 1e-9)))
@@ -53,34 +55,45 @@ def spacing(uv: Array, *, coarse_mm: float) -> float:
 
 def rasterise(uv: Array, cell_mm: float, margin_mm: float = 0.0) -> Raster:
     """Raster of plane coordinates (N, 2), with an empty margin all around. Strays far out are left away."""
-    low, high = np.percentile(uv[:: max(1, len(uv) // 50_000)], [0.1, 99.9], axis=0)
+    low, high = np.percentile(uv[:: max(1, len(uv) // 20_000)], [0.1, 99.9], axis=0)
     low, high = low - 0.05 * (high - low) - margin_mm, high + 0.05 * (high - low) + margin_mm
     cell_mm = max(cell_mm, float((high - low).max()) / MAX_CELLS)
-    shape = np.ceil((high - low) / cell_mm).astype(np.int64) + 1
-    cells = np.floor((uv - low) / cell_mm).astype(np.int64)
-    inside = ((cells >= 0) & (cells < shape)).all(axis=1)
-    flat = cells[inside, 0] * shape[1] + cells[inside, 1]
-    counts = np.bincount(flat, minlength=int(shape[0] * shape[1])).reshape(int(shape[0]), int(shape[1]))
+    rows, columns = (int(np.ceil(side)) + 1 for side in (high - low) / cell_mm)
+    u, v = ((side - least) * (1.0 / cell_mm) for side, least in zip(np.ascontiguousarray(uv.T), low, strict=True))
+    inside = (u >= 0.0) & (u < rows) & (v >= 0.0) & (v < columns)
+    flat = u[inside].astype(np.int64) * columns + v[inside].astype(np.int64)
+    counts = np.bincount(flat, minlength=rows * columns).reshape(rows, columns)
     return Raster(counts.astype(np.int32), low, cell_mm)
 
 
-def find_voids(raster: Raster, radii_mm: tuple[float, ...], *, score: float = 0.45) -> list[Void]:
-    """Round voids of about one of the radii: an empty disk inside a covered ring, best score first.
+def find_voids(raster: Raster, radii_mm: tuple[float, ...], *, gap: int = 2, score: float = 0.45) -> list[Void]:
+    """Round voids of about one of the radii: an empty disk inside a covered ring, best score first. `gap` as in
+    `Raster.covered`.
 
     A matched filter, so that a hole whose rim is torn open by missing data is still seen; slots and bores, whose
     ring is not covered all around, are not.
     """
-    covered = raster.covered.astype(np.float32)
+    covered = raster.covered(gap).astype(np.float32)
     pad = int(np.ceil(2.0 * max(radii_mm) / raster.cell_mm)) + 2
     shape = [fft.next_fast_len(side + pad, real=True) for side in covered.shape]
     spectrum = fft.rfft2(covered, shape)
     voids: list[Void] = []
     for radius in radii_mm:
         quality = _quality(spectrum, shape, radius / raster.cell_mm)[: covered.shape[0], : covered.shape[1]]
-        reach = 2 * round(0.8 * radius / raster.cell_mm) + 1
-        peaks = (quality == ndimage.maximum_filter(quality, size=reach)) & (quality > score)
-        voids += [_void(raster, covered, cell, radius, float(quality[tuple(cell)])) for cell in np.argwhere(peaks)]
+        peaks = _peaks(quality, score, 0.8 * radius / raster.cell_mm)
+        voids += [_void(raster, covered, cell, radius, float(quality[tuple(cell)])) for cell in peaks]
     return _best_of_overlapping(voids)
+
+
+def _peaks(quality: Array, least: float, reach: float) -> list[NDArray[np.int64]]:
+    """Cells (2,) above `least` that are the best within `reach` cells, best first."""
+    cells = np.argwhere(quality > least)
+    cells = cells[np.argsort(-quality[cells[:, 0], cells[:, 1]], kind="stable")]
+    found = []
+    while len(cells):
+        found.append(cells[0])
+        cells = cells[(np.abs(cells - cells[0]) > reach).any(axis=1)]
+    return found
 
 
 def _void(
@@ -118,11 +131,15 @@ def _quality(spectrum: NDArray[np.complex64], shape: list[int], radius: float) -
 
 
 def _best_of_overlapping(voids: list[Void]) -> list[Void]:
-    """Voids that do not overlap a better one."""
+    """Voids that do not overlap a better one; the best `MAX_VOIDS`, because a sieve has thousands."""
+    ordered = sorted(voids, key=lambda item: (-item.score, *item.position_mm))
+    positions = np.array([void.position_mm for void in ordered]).reshape(-1, 2)
+    free = np.ones(len(ordered), dtype=np.bool_)
     kept: list[Void] = []
-    for void in sorted(voids, key=lambda item: (-item.score, *item.position_mm)):
-        if all(np.hypot(*(void.position_mm - other.position_mm)) > other.radius_mm for other in kept):
+    for i, void in enumerate(ordered):
+        if free[i] and len(kept) < MAX_VOIDS:
             kept.append(void)
+            free &= np.hypot(*(positions - void.position_mm).T) > void.radius_mm
     return kept
 
 
@@ -139,4 +156,4 @@ def find_islands(raster: Raster, *, least: int = 3) -> list[Void]:
     order = np.argsort(-points, kind="stable")
     cells = ndimage.sum_labels(raster.counts > 0, labels, index)
     radii = np.sqrt(cells / np.pi) * raster.cell_mm
-    return [Void(raster.position(centres[i]), float(radii[i]), 1.0) for i in order if points[i] >= least]
+    return [Void(raster.position(centres[i]), float(radii[i]), 1.0) for i in order[:MAX_VOIDS] if points[i] >= least]

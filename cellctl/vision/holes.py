@@ -10,16 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision import hole_model
+from cellctl.vision import hole_fit, hole_model
+from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array
 from cellctl.vision.hole_refine import refine
-from cellctl.vision.outline import Outline, fit_outline
+from cellctl.vision.outline import Outline, edge_band_mm, fit_outlines
 from cellctl.vision.part import Part
 from cellctl.vision.pattern import nominal
+from cellctl.vision.rim import look
 from cellctl.vision.shared_noise import SharedNoise
 
-MIN_INNER_POINTS = 25
+MIN_INNER_POINTS = 12
 MIN_ARC = 0.5
+MIN_TORN_ARC = 0.25  # where the other holes tell the radius and the shape of the edge
+MIN_EDGE_POINTS = 12
 MAX_FILL = 0.25
 
 
@@ -39,6 +43,7 @@ class Hole:
     residual_mm: float
     by: str = "model"
     reason: str = ""
+    chamfer_radius_mm: float | None = None
 
 
 def missing(reason: str) -> Hole:
@@ -57,87 +62,103 @@ def void_radii(part: Part) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """How the points were seen: pinhole (3,) in their frame, pixel (N, 2) of each, noise shared by neighbours.
+    """How the points were seen: pinhole (3,) in their frame, noise shared by neighbours; None where not known.
 
-    None where that is not known; `spacing_mm` and `sigma_mm` are the face's point spacing and noise.
+    `spacing_mm` and `sigma_mm` are the face's point spacing and noise.
     """
 
     spacing_mm: float
     sigma_mm: float
     eye: Array | None = None
-    pixels: Array | None = None
     noise: SharedNoise | None = None
 
 
-def measure_holes(local: Array, part: Part, radii_mm: Array, sight: Sight) -> tuple[Hole, ...]:
-    """All holes from points (N, 3) in the part's approximate frame; `radii_mm` (n,) are the voids' radii."""
-    spacing_mm, sigma_mm = sight.spacing_mm, sight.sigma_mm
-    centres = nominal(part)
-    owner, near = _gather(local, part, centres, radii_mm)
-    points = local[near]
-    starts = np.searchsorted(owner, np.arange(part.count + 1))
-    outlines = _outlines(points, starts, part, centres, radii_mm, spacing_mm, sigma_mm)
-    reasons = [_why_missing(outlines[k], centres[k], float(radii_mm[k])) for k in range(part.count)]
-    by_outline = [
-        missing(reason) if reason or outline is None else _from_outline(outline, float(radii_mm[k]), part, k)
-        for k, (outline, reason) in enumerate(zip(outlines, reasons, strict=True))
-    ]
-    chosen = [k for k in range(part.count) if by_outline[k].found]
-    pixels = None if sight.pixels is None else sight.pixels[near]
-    modelled = _by_model(points, starts, chosen, by_outline, part, sight, pixels)
+@dataclass(frozen=True, slots=True)
+class _Around:
+    """Points (M, 3) in the part's frame, sorted by hole: hole k owns `starts[k]:starts[k + 1]`; `owner` (M,), and the
+    `pixels` (M, 2) they come from, None for an unorganised cloud."""
+
+    points: Array
+    starts: NDArray[np.intp]
+    owner: NDArray[np.intp]
+    pixels: Array | None
+
+    def of(self, k: int) -> Array:
+        """Points of hole `k`."""
+        return self.points[self.starts[k] : self.starts[k + 1]]
+
+
+def reaches(part: Part, radii_mm: Array) -> Array:
+    """How far (n,) around each hole's nominal place its points are looked at, mm."""
+    wide = 1.35 * radii_mm + 0.5 if part.chamfer_diameter_mm is not None else 1.6 * radii_mm + 0.6
+    return np.asarray(np.minimum(wide, _half_gap(nominal(part))))
+
+
+def measure_holes(
+    near: Columns, owner: NDArray[np.intp], part: Part, radii_mm: Array, sight: Sight
+) -> tuple[Hole, ...]:
+    """All holes from points in the part's approximate frame, with the hole (M,) that each lies around; `radii_mm` (n,)
+    are the voids' radii."""
+    around = _gather(near, owner, part, radii_mm)
+    if part.chamfer_diameter_mm is not None:
+        by_rim = _by_rim(around, part, radii_mm, sight)
+    else:
+        by_rim = _by_outline(around, part, radii_mm, sight)
+    chosen = [k for k in range(part.count) if by_rim[k].found]
+    modelled = _by_model(around, chosen, by_rim, part, sight)
     return tuple(
-        modelled[k] if k in modelled and _better(modelled[k], by_outline[k], spacing_mm) else by_outline[k]
+        modelled[k] if k in modelled and _better(modelled[k], by_rim[k], sight.spacing_mm) else by_rim[k]
         for k in range(part.count)
     )
 
 
-def _gather(local: Array, part: Part, centres: Array, radii_mm: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Nearest hole of every point that lies around one: (owner, index of the point), sorted by owner."""
-    reach = np.minimum(1.6 * radii_mm + 0.6, _half_gap(centres))
-    ring = 0.5 * part.circle_diameter_mm
-    rho2 = local[:, 0] ** 2 + local[:, 1] ** 2
+def _gather(near: Columns, owner: NDArray[np.intp], part: Part, radii_mm: Array) -> _Around:
+    """The points within reach of their hole, between its bottom and a little above the face."""
+    centres = nominal(part)
     deepest = -(part.depth_mm or 3.0 * float(radii_mm.max())) - 1.0
-    band = (rho2 > max(0.0, ring - float(reach.max())) ** 2) & (rho2 < (ring + float(reach.max())) ** 2)
-    near = np.flatnonzero(band & (local[:, 2] > deepest) & (local[:, 2] < 1.0))
-    angles = np.arctan2(local[near, 1], local[near, 0])
-    targets = np.mod(np.radians(part.angles_deg), 2.0 * np.pi)
-    order = np.argsort(targets)
-    ordered = targets[order]
-    middle = 0.5 * (ordered + np.append(ordered[1:], ordered[0] + 2.0 * np.pi))
-    owner = order[np.searchsorted(middle, np.mod(angles, 2.0 * np.pi)) % part.count]
-    distance = np.hypot(*(local[near, :2] - centres[owner]).T)
-    keep = distance < reach[owner]
-    sort = np.argsort(owner[keep], kind="stable")
-    return owner[keep][sort], near[keep][sort]
+    square = np.square(near.x - centres[owner, 0]) + np.square(near.y - centres[owner, 1])
+    rows = np.flatnonzero((square < np.square(reaches(part, radii_mm))[owner]) & (near.z > deepest) & (near.z < 1.0))
+    rows = rows[np.argsort(owner[rows].astype(np.int16), kind="stable")]
+    pixels = None
+    if near.pixels is not None:
+        pixels = np.stack(np.divmod(near.pixels[rows], near.shape[1]), axis=1).astype(np.float64)
+    starts = np.searchsorted(owner[rows], np.arange(part.count + 1))
+    return _Around(near.take(rows).stacked(), starts, owner[rows], pixels)
 
 
-def _outlines(
-    points: Array, starts: NDArray[np.intp], part: Part, centres: Array, radii_mm: Array, spacing_mm: float,
-    sigma_mm: float,
-) -> list[Outline | None]:  # fmt: skip
-    """Outline at every nominal place; a second time with the usual radius of holes that are drawn alike."""
-    # at an edge a camera blurs and lifts the surface: without a chamfer to confuse it with, all of that is face
-    band = 4.0 * sigma_mm if part.chamfer_diameter_mm is not None else max(4.0 * sigma_mm, 3.0 * spacing_mm)
-    faces = []
+def _by_rim(around: _Around, part: Part, radii_mm: Array, sight: Sight) -> list[Hole]:
+    """Every chamfered hole as its rim shows it: found with a place to start from, or missing with the reason."""
+    centres = nominal(part)
+    on = np.flatnonzero(np.abs(around.points[:, 2]) < 4.0 * sight.sigma_mm)
+    rims = look(around.points[on, :2] - centres[around.owner[on]], around.owner[on], radii_mm, sight.spacing_mm)
+    holes = []
     for k in range(part.count):
-        around = points[starts[k] : starts[k + 1]]
-        faces.append(around[np.abs(around[:, 2]) < band, :2])
-    first = [fit_outline(faces[k], centres[k], float(radii_mm[k]), spacing_mm) for k in range(part.count)]
-    sizes = np.array([np.nan if outline is None else outline.radius_mm + 0.5 * spacing_mm for outline in first])
-    if part.chamfer_diameter_mm is not None or not np.isfinite(sizes).any():
-        return list(first)  # with a chamfer the outline is only the start of the model's fit
-    # without sizes in the recipe, those near the middle one count as drawn alike
-    near = np.abs(sizes / np.nanmedian(sizes) - 1.0) < 0.12
-    drawn = np.where(near, 0.0, np.nan) if part.diameter_mm is None else np.asarray(part.diameter_mm)
-    result = list(first)
-    for size in np.unique(drawn[np.isfinite(drawn)]):
-        group = np.flatnonzero(drawn == size)
-        if np.count_nonzero(np.isfinite(sizes[group])) < 3:
-            continue
-        usual = float(np.nanmedian(sizes[group]))
-        for k in map(int, group):
-            result[k] = fit_outline(faces[k], centres[k], usual, spacing_mm, radius_sigma_mm=0.1 * spacing_mm)
-    return result
+        seen = None
+        if np.isfinite(rims.arc[k]):
+            points = round(float(rims.arc[k]) * 2.0 * np.pi * float(rims.radius_mm[k]) / sight.spacing_mm)
+            # an edge point stands off by up to a spacing; about every second sector is independent
+            variance = 4.0 * float(rims.scatter_mm[k]) ** 2 / max(points, 1)
+            seen = Outline(
+                centre_mm=centres[k] + rims.centre_mm[k], radius_mm=float(rims.radius_mm[k]),
+                covariance=variance * np.eye(2), scatter_mm=float(rims.scatter_mm[k]), arc=float(rims.arc[k]),
+                fill=float(rims.fill[k]), points=points,
+            )  # fmt: skip
+        holes.append(_judged(seen, part, k, float(radii_mm[k]), centres[k]))
+    return holes
+
+
+def _by_outline(around: _Around, part: Part, radii_mm: Array, sight: Sight) -> list[Hole]:
+    """Every hole without a chamfer as its outline shows it, or missing with the reason."""
+    on = np.abs(around.points[:, 2]) < edge_band_mm(sight.sigma_mm, sight.spacing_mm)
+    centres = nominal(part)
+    outlines = fit_outlines(around.points[on, :2], around.owner[on], centres, radii_mm, sight.spacing_mm, part)
+    return [_judged(outlines[k], part, k, float(radii_mm[k]), centres[k]) for k in range(part.count)]
+
+
+def _judged(outline: Outline | None, part: Part, index: int, radius_mm: float, centre_mm: Array) -> Hole:
+    least_arc = MIN_TORN_ARC if part.chamfer_diameter_mm is None else MIN_ARC
+    reason = _why_missing(outline, centre_mm, radius_mm, least_arc)
+    return missing(reason) if reason or outline is None else _from_outline(outline, radius_mm, part, index)
 
 
 def _half_gap(centres: Array) -> float:
@@ -146,14 +167,16 @@ def _half_gap(centres: Array) -> float:
     return 0.5 * float(distance[distance > 1e-6].min())
 
 
-def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float) -> str:
+def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float, least_arc: float) -> str:
     """Empty where the outline is that of a hole at its place, else why it is not."""
     if outline is None:
         return "no edge of the face was seen at the hole's place"
     if outline.fill > MAX_FILL:
         return "the face is closed at the hole's place"
-    if outline.arc < MIN_ARC:
+    if outline.arc < least_arc:
         return f"only {100 * outline.arc:.0f} % of the outline was seen"
+    if outline.points < MIN_EDGE_POINTS:
+        return f"only {outline.points} points lie along the outline"
     if np.hypot(*(outline.centre_mm - nominal_mm)) > 0.5 * radius_mm:
         return "the void found lies off the hole's place"
     if not 0.6 * radius_mm < outline.radius_mm < 1.5 * radius_mm:
@@ -166,24 +189,22 @@ def _from_outline(outline: Outline, radius_mm: float, part: Part, index: int) ->
     mouth = radius_mm - 0.5 * part.diameter_mm[index] if part.chamfer_diameter_mm and part.diameter_mm else 0.0
     covariance = np.zeros((4, 4))
     covariance[:2, :2] = outline.covariance
-    covariance[2:, 2:] = np.eye(2) * hole_model.TILT_PRIOR_RAD**2
+    covariance[2:, 2:] = np.eye(2) * hole_fit.TILT_PRIOR_RAD**2
     return Hole(True, outline.centre_mm, np.zeros(2), outline.radius_mm - mouth, covariance, outline.points,
                 outline.scatter_mm, "outline")  # fmt: skip
 
 
-def _by_model(
-    points: Array, starts: NDArray[np.intp], chosen: list[int], outlines: list[Hole], part: Part,
-    sight: Sight, pixels: Array | None,
-) -> dict[int, Hole]:  # fmt: skip
+def _by_model(around: _Around, chosen: list[int], outlines: list[Hole], part: Part, sight: Sight) -> dict[int, Hole]:
     """Joint fit of face, chamfer and wall of the chosen holes, by hole number."""
     if not chosen:
         return {}
     origins = np.stack([np.append(outlines[k].centre_mm, 0.0) for k in chosen])
-    pieces = [points[starts[k] : starts[k + 1]] - origin for k, origin in zip(chosen, origins, strict=True)]
-    samples = hole_model.Samples(
-        points=np.concatenate(pieces),
-        starts=np.cumsum([0, *(len(piece) for piece in pieces)]),
-        eyes=None if sight.eye is None else sight.eye - origins,
+    counts = np.diff(around.starts)[chosen]
+    rows = np.concatenate([np.arange(around.starts[k], around.starts[k + 1]) for k in chosen])
+    samples = hole_model.Samples.of(
+        around.points[rows] - np.repeat(origins, counts, axis=0),
+        np.append(0, np.cumsum(counts)),
+        None if sight.eye is None else sight.eye - origins,
         slope=float(np.tan(np.radians(part.chamfer_angle_deg or 45.0))),
         depth_mm=part.depth_mm or float("inf"),
         chamfered=part.chamfer_diameter_mm is not None,
@@ -193,14 +214,14 @@ def _by_model(
         wall = outlines[k].radius_mm if part.diameter_mm is None else 0.5 * part.diameter_mm[k]
         chamfer = max(wall, 0.5 * part.chamfer_diameter_mm) if part.chamfer_diameter_mm else wall
         start[row, hole_model.WALL], start[row, hole_model.CHAMFER] = wall, chamfer
-    fits = hole_model.fit(samples, start, sight.sigma_mm)
-    if sight.noise is not None and pixels is not None and sight.eye is not None:
-        own = np.concatenate([pixels[starts[k] : starts[k + 1]] for k in chosen])
-        fits = refine(samples, fits, sight.noise, own, sight.spacing_mm)
-    return {k: hole for row, k in enumerate(chosen) if (hole := _from_model(fits, row, origins[row])) is not None}
+    fits = hole_fit.fit(samples, start, sight.sigma_mm)
+    if sight.noise is not None and around.pixels is not None and sight.eye is not None:
+        fits = refine(samples, fits, sight.noise, around.pixels[rows], sight.spacing_mm)
+    holes = {k: _from_model(fits, row, origins[row], samples.chamfered) for row, k in enumerate(chosen)}
+    return {k: hole for k, hole in holes.items() if hole is not None}
 
 
-def _from_model(fits: hole_model.HoleFits, row: int, origin: Array) -> Hole | None:
+def _from_model(fits: hole_fit.HoleFits, row: int, origin: Array, chamfered: bool) -> Hole | None:
     """The hole of one row, None where too few points of chamfer and wall carry it."""
     inner = int(fits.counts[row, hole_model.CONE] + fits.counts[row, hole_model.CYLINDER])
     if inner < MIN_INNER_POINTS:
@@ -210,7 +231,8 @@ def _from_model(fits: hole_model.HoleFits, row: int, origin: Array) -> Hole | No
     covariance = fits.covariances[row][np.ix_(chosen, chosen)]
     slopes = p[[hole_model.TILT_U, hole_model.TILT_V]]
     return Hole(True, origin[:2] + p[:2], slopes, float(p[hole_model.WALL]), covariance,
-                int(fits.counts[row].sum()), float(fits.residual_mm[row]), "model")  # fmt: skip
+                int(fits.counts[row].sum()), float(fits.residual_mm[row]), "model",
+                chamfer_radius_mm=float(p[hole_model.CHAMFER]) if chamfered else None)  # fmt: skip
 
 
 def _better(model: Hole, outline: Hole, spacing_mm: float) -> bool:

@@ -108,53 +108,61 @@ def match_holes(holes_mm: Array, studs_mm: Array, variance_mm2: Array, pivot_mm:
     return HoleMatch(shift, theta, moved - studs_mm, np.asarray(np.linalg.inv(information), dtype=np.float64), eps)
 
 
-def polish(offsets_mm: Array, jacobian: Array, clearance_mm: Array, *, precision_mm: float = 1e-6) -> Array:
-    """Small motion (3,) that makes the least clearance as large as it can be.
+def polish(offsets_mm: Array, jacobian: Array, clearance_mm: Array, *, softness_mm: float = 2e-7) -> Array:
+    """Small motion (..., 3) that makes the least clearance as large as it can be, for each set of offsets by itself.
 
-    Minimises max_i(|d_i + J_i v| - c_i) for offsets (m, 2), jacobian (m, 2, 3) and clearance (m,): convex, solved by
-    damped Newton on the log-sum-exp of the terms with a falling temperature (Boyd, Vandenberghe 2004, ch. 3 and 9);
-    the result is within about `precision_mm` of the optimum.
+    Minimises max_i(|d_i + J_i v| - c_i) for offsets (..., m, 2), jacobian (m, 2, 3) and clearance (m,) through
+    softness log sum_i exp(. / softness): convex, solved by damped Newton with a falling softness (Boyd, Vandenberghe
+    2004, ch. 3 and 9). The result is within softness log m of the optimum; terms that differ by less than the
+    softness count alike.
     """
     scale = np.sqrt(np.mean(jacobian**2, axis=(0, 1)))
     scale = np.where(scale > 0, scale, 1.0)
     jac = jacobian / scale
-    v = np.zeros(3)
-    mu = max(float(np.ptp(np.linalg.norm(offsets_mm, axis=1) - clearance_mm)), precision_mm)
-    floor = precision_mm / np.log(len(offsets_mm) + 1.0)
+    offsets = offsets_mm.reshape(-1, *offsets_mm.shape[-2:])
+    v = np.zeros((len(offsets), 3))
+    mu = max(float(np.ptp(np.linalg.norm(offsets, axis=2) - clearance_mm, axis=1).max()), softness_mm)
     while True:
-        v = _newton(offsets_mm, jac, clearance_mm, v, mu)
-        if mu <= floor:
-            return np.asarray(v / scale)
-        mu = max(mu * 0.3, floor)
+        v = _newton(offsets, jac, clearance_mm, v, mu)
+        if mu <= softness_mm:
+            return np.asarray(v.reshape(*offsets_mm.shape[:-2], 3) / scale)
+        mu = max(mu * 0.3, softness_mm)
 
 
 def _newton(d: Array, jac: Array, c: Array, v: Array, mu: float) -> Array:
+    """Minimum of log sum exp(. / mu) for offsets (b, m, 2) from motions (b, 3) on."""
     soft = 1e-3 * mu  # keeps |d| differentiable where it vanishes
 
-    def value(at: Array) -> tuple[float, Array, Array]:
-        e = d + jac @ at
-        r = np.sqrt(np.sum(e**2, axis=1) + soft**2)
+    def value(at: Array) -> tuple[Array, Array, Array, Array]:
+        e = d + np.einsum("mak,bk->bma", jac, at)
+        r = np.sqrt(np.sum(e**2, axis=2) + soft**2)
         g = (r - c) / mu
-        top = g.max()
-        p = np.exp(g - top)
-        return float(top + np.log(p.sum())), e / r[:, None], np.stack([r, p / p.sum()])
+        top = g.max(axis=1)
+        p = np.exp(g - top[:, None])
+        total = p.sum(axis=1)
+        return top + np.log(total), e / r[:, :, None], r, p / total[:, None]
 
+    squares = np.einsum("mak,mal->mkl", jac, jac).reshape(-1, 9)
+    f, unit, r, p = value(v)
     for _ in range(30):
-        f, unit, (r, p) = value(v)
-        rows = np.einsum("ma,mak->mk", unit, jac)
-        gradient = p @ rows / mu
-        curve = np.einsum("mak,mal->mkl", jac, jac) - rows[:, :, None] * rows[:, None, :]
-        hessian = np.einsum("m,mkl->kl", p / (r * mu), curve)
-        centred = rows - p @ rows
-        hessian += np.einsum("m,mk,ml->kl", p / mu**2, centred, centred)
-        step = -np.linalg.solve(hessian + 1e-12 * np.trace(hessian) * np.eye(3), gradient)
-        slope = float(gradient @ step)
-        if slope > -1e-9:
+        rows = np.einsum("bma,mak->bmk", unit, jac)
+        gradient = np.einsum("bm,bmk->bk", p, rows) / mu
+        bend = p / (r * mu)
+        hessian = (bend @ squares).reshape(-1, 3, 3)
+        hessian += np.swapaxes(rows * (p / mu**2 - bend)[:, :, None], 1, 2) @ rows
+        hessian -= gradient[:, :, None] * gradient[:, None, :]
+        ridge = 1e-12 * np.trace(hessian, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        step = -np.linalg.solve(hessian + ridge, gradient[:, :, None])[:, :, 0]
+        slope = np.sum(gradient * step, axis=1)
+        if not (slope < -1e-9).any():
             break
-        length = 1.0
-        while value(v + length * step)[0] > f + 0.25 * length * slope and length > 1e-6:
-            length *= 0.5
-        v = v + length * step
+        length = np.where(slope < -1e-9, 1.0, 0.0)
+        trial = value(v + length[:, None] * step)
+        while (poor := (trial[0] > f + 0.25 * length * slope) & (length > 1e-6)).any():
+            length = np.where(poor, 0.5 * length, length)
+            trial = value(v + length[:, None] * step)
+        v = v + length[:, None] * step
+        f, unit, r, p = trial
     return v
 
 

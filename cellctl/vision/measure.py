@@ -6,22 +6,35 @@ cloud -> planes (eq. 14-18) -> the face, by its pattern -> face refitted -> hole
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellctl.vision import outliers
 from cellctl.vision.cloud import as_cloud
-from cellctl.vision.face import Face, find_face
+from cellctl.vision.columns import Columns
+from cellctl.vision.contradictions import (
+    check_closed,
+    check_hole_sizes,
+    check_off_place,
+    check_outlines,
+    many_missing,
+    off_place_mm,
+)
+from cellctl.vision.face import Face, before_the_eye, find_face
+from cellctl.vision.flatness import inside_edges
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
-from cellctl.vision.holes import Hole, Sight, measure_holes
-from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused
-from cellctl.vision.pattern import PatternFit, fit_pattern, symmetry
+from cellctl.vision.holes import Hole, Sight, measure_holes, reaches
+from cellctl.vision.index import turned_by_sizes
+from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused, pivot
+from cellctl.vision.pattern import PatternFit, blind_to_sizes, fit_pattern, symmetry
 from cellctl.vision.plane import fit_face
-from cellctl.vision.quality import coverage, nearness
-from cellctl.vision.shared_noise import estimate
+from cellctl.vision.shared_noise import on_face as shared_noise
 from cellctl.vision.studs import measure_studs
+from cellctl.vision.walls import wall_radii
+from cellctl.vision.zones import FACE, FEATURE, Zones
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +49,14 @@ class Gates:
 
 
 DEFAULT_GATES = Gates()
+AREA_SAMPLE = 60_000
+"""Points of a scan that are enough to tell how flat the face is."""
+SCANNER_FLATNESS_MM = 0.1
+"""How bent a scanner may show a flat face (VDI/VDE 2634-2): a part that meets its drawing is not refused for it."""
+MAX_SIGMA_MM = 0.2
+"""One sigma of the pattern's place, or of its turn along the circle, beyond which there is no pose."""
+USUAL_DISTANCE_MM = 400.0
+"""Of a structured-light scanner."""
 
 
 def measure_part(
@@ -52,21 +73,113 @@ def measure_part(
     if gates.outlier_removal != "none":
         grid = outliers.without_outliers(grid, sides=gates.outlier_removal)  # eq. 2-3
     pinhole = viewpoint(grid) if cloud.organised else None
-    flat = grid.reshape(-1, 3)
-    flat = flat[np.isfinite(flat[:, 0])].astype(np.float64)
-    eye = np.zeros(3) if pinhole is None else pinhole
+    scan = Columns.of(grid)
+    eye = np.zeros(3) if pinhole is None and T_frame_scanner is not None else pinhole
     reference = np.array([1.0, 0.0, 0.0]) if T_frame_scanner is None else T_frame_scanner[0, :3]
-    found = find_face(flat, part, eye, reference, np.random.default_rng(seed))
-    local = found.frame.into(flat)
-    face = _refit_face(flat, local, found, part, eye)
-    frame = PlaneFrame.on(_onto(face, found.frame.origin), face.normal, found.frame.axes[0])
-    features = _features(grid, flat, face, frame, found, part, pinhole)
-    fitted = _fit_pattern(features, frame, part)
+    found = find_face(scan, part, eye, reference, np.random.default_rng(seed))
     # Without rays or a pose nothing says where the scanner stood.
-    seen_from = eye if pinhole is not None or T_frame_scanner is not None else np.full(3, np.nan)
-    quality = _quality(face, frame, local, found, features, fitted, part, seen_from)
+    seen_from = np.full(3, np.nan) if eye is None else eye
+    eye = _likely_eye(found) if eye is None else eye
+    blind = blind_to_sizes(part)
+    seen = _sight(scan, found, part, blind, pinhole, eye)
+    if blind is not part:
+        found = turned_by_sizes(found, seen.sizes_mm(part), part)
+        seen = _sight(scan, found, part, part, pinhole, eye)
+    face, frame = seen.face, seen.frame
+    fitted, features = _fit_pattern(seen.features, frame, part)
+    _check_part(scan, found, seen, features, part)
+    _known_well_enough(fitted, found)
+    quality = _quality(scan, seen.places, face, frame, found, features, fitted, seen_from)
     _check(quality, features, part, gates)
     return _assemble(features, face, frame, fitted, part, quality, T_frame_scanner)
+
+
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Which points lie where: rows on the face's own area near its plane, rows around holes and the hole of each.
+
+    `area` are rows well inside the face's own area, at any height, a sample.
+    """
+
+    on_face: NDArray[np.intp]
+    around: NDArray[np.intp]
+    owner: NDArray[np.intp]
+    area: NDArray[np.intp]
+    coverage: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Sighting:
+    """Face and features as measured, with the frame of the face; radii (n,) of the holes' walls, NaN where unseen."""
+
+    places: _Places
+    face: FaceFit
+    frame: PlaneFrame
+    features: tuple[FeatureFit, ...]
+    walls_mm: Array
+
+    def sizes_mm(self, part: Part) -> Array:
+        """Radii (n,) that tell holes apart: of the walls, or of the outlines where no chamfer is cut."""
+        if part.chamfer_diameter_mm is not None:
+            return self.walls_mm
+        return np.array([np.nan if feature.radius_mm is None else feature.radius_mm for feature in self.features])
+
+
+def _sight(scan: Columns, found: Face, part: Part, alike: Part, pinhole: Array | None, eye: Array) -> _Sighting:
+    """The face refitted, then every feature on it, measured as those of `alike`."""
+    places = _place(scan, found, part)
+    face = _refit_face(scan, places, found, part, eye)
+    frame = PlaneFrame.on(_onto(face, found.frame.origin), face.normal, found.frame.axes[0])
+    if part.feature == "stud":
+        features = measure_studs(scan, face, part, pose(frame.axes.T, frame.origin), viewpoint=eye)
+        return _Sighting(places, face, frame, features, np.full(part.count, np.nan))
+    near = scan.take(places.around).into(frame)
+    features = _holes(scan, near, places, face, frame, found, alike, pinhole)
+    walls = wall_radii(near, places.owner, _centres(features, frame, part), part)
+    return _Sighting(places, face, frame, features, walls)
+
+
+def _centres(features: tuple[FeatureFit, ...], frame: PlaneFrame, part: Part) -> Array:
+    """Where the features' axes meet the face (n, 2), NaN where missing."""
+    centres = np.full((part.count, 2), np.nan)
+    for feature in features:
+        if feature.center_mm is not None:
+            centres[feature.index] = frame.into(feature.center_mm)[:2]
+    return centres
+
+
+def _place(scan: Columns, found: Face, part: Part) -> _Places:
+    """One look at every point: where on the part it is."""
+    reach = reaches(part, found.radii_mm) if part.feature == "hole" else found.radii_mm
+    zones = Zones.of(part, found.radii_mm, reach, found.spacing_mm)
+    codes = zones.codes.reshape(-1)
+    near, level = 8.0 * found.plane.sigma_mm + (part.flatness_limit_mm or 0.0), 5.0 * found.plane.sigma_mm + 0.01
+    on_face, around, owner, area, seen = [], [], [], [], np.zeros(len(codes), dtype=np.intp)
+    step = max(1, len(scan) // AREA_SAMPLE)
+    for begin, piece in scan.batches():
+        local = piece.into(found.frame)
+        cells = zones.cells(local.x, local.y)
+        code, height = codes.take(cells), np.abs(local.z)
+        rows = np.flatnonzero((code >= FACE) & (height < near))
+        on_face.append(rows + begin)
+        some = np.flatnonzero(code[::step] >= FACE) * step
+        area.append(some[inside_edges(local.take(some), part, found.radii_mm)] + begin)
+        seen += np.bincount(cells[rows[height[rows] < level]], minlength=len(seen))
+        if part.feature == "hole":
+            code &= FEATURE
+            rows = np.flatnonzero(code)
+            around.append(rows + begin)
+            owner.append(code[rows].astype(np.intp) - 1)
+    none = np.zeros(0, dtype=np.intp)
+    around_rows, owners = np.concatenate(around or [none]), np.concatenate(owner or [none])
+    return _Places(np.concatenate(on_face), around_rows, owners, np.concatenate(area), zones.coverage(seen))
+
+
+def _likely_eye(found: Face) -> Array:
+    """Where the scanner of a list of points may have stood: at the origin where that could see the face."""
+    if before_the_eye(found.frame, np.zeros(3)):
+        return np.zeros(3)
+    return found.frame.out(np.array([0.0, 0.0, USUAL_DISTANCE_MM]))
 
 
 def _onto(face: FaceFit, point: Array) -> Array:
@@ -74,39 +187,28 @@ def _onto(face: FaceFit, point: Array) -> Array:
     return np.asarray(point - ((point - face.point_mm) @ face.normal) * face.normal)
 
 
-def _refit_face(flat: Array, local: Array, found: Face, part: Part, eye: Array) -> FaceFit:
+def _refit_face(scan: Columns, places: _Places, found: Face, part: Part, eye: Array) -> FaceFit:
     """The face plane from the face alone: inside its rims and clear of the features, whose edges would pull it."""
-    reach = 8.0 * found.plane.sigma_mm + (part.flatness_limit_mm or 0.0)
-    chosen = (np.abs(local[:, 2]) < reach) & nearness(local, part, found.radii_mm, 2.0 * found.spacing_mm)
-    face = fit_face(flat[chosen], found.plane, eye)
-    if part.flatness_limit_mm is not None and face.flatness_mm > 5.0 * part.flatness_limit_mm:
-        raise Refused("face_warped", f"the face is {face.flatness_mm:.3f} mm out of flat")
+    face = fit_face(scan.take(places.on_face), found.plane, eye, scan.take(places.area))
+    if part.flatness_limit_mm is not None and face.flatness_mm > part.flatness_limit_mm + SCANNER_FLATNESS_MM:
+        raise Refused(
+            "face_warped",
+            f"the face is {face.flatness_mm:.3f} mm out of flat, the recipe allows {part.flatness_limit_mm:g} mm",
+        )
     return face
 
 
-def _features(
-    grid: Points, flat: Array, face: FaceFit, frame: PlaneFrame, found: Face, part: Part, pinhole: Array | None
-) -> tuple[FeatureFit, ...]:
-    """Every feature of the part, in the cloud's frame."""
-    if part.feature == "stud":
-        return measure_studs(grid, face, part, pose(frame.axes.T, frame.origin), viewpoint=pinhole)
-    local = frame.into(flat)
-    holes = measure_holes(local, part, found.radii_mm, _sight(grid, local, frame, face, found, part, pinhole))
+def _holes(
+    scan: Columns, near: Columns, places: _Places, face: FaceFit, frame: PlaneFrame, found: Face, part: Part,
+    pinhole: Array | None,
+) -> tuple[FeatureFit, ...]:  # fmt: skip
+    """Every hole of the part, in the cloud's frame; `near` are the points around them in the frame of the face."""
+    sight = Sight(found.spacing_mm, face.sigma_mm)
+    if pinhole is not None:
+        noise = shared_noise(scan, places.on_face, face)
+        sight = Sight(found.spacing_mm, face.sigma_mm, frame.into(pinhole), noise)
+    holes = measure_holes(near, places.owner, part, found.radii_mm, sight)
     return tuple(_feature(index, hole, frame, face) for index, hole in enumerate(holes))
-
-
-def _sight(
-    grid: Points, local: Array, frame: PlaneFrame, face: FaceFit, found: Face, part: Part, pinhole: Array | None
-) -> Sight:
-    """How the face was seen; the noise that pixels share shows in the face's residuals on the grid."""
-    if pinhole is None:
-        return Sight(found.spacing_mm, face.sigma_mm)
-    pixels = np.stack(np.nonzero(np.isfinite(grid[..., 0])), axis=1)
-    image = np.full(grid.shape[:2], np.nan)
-    on = (np.abs(local[:, 2]) < 5.0 * face.sigma_mm) & nearness(local, part, found.radii_mm, found.spacing_mm)
-    image[pixels[on, 0], pixels[on, 1]] = local[on, 2]
-    noise = estimate(image, face.sigma_mm)
-    return Sight(found.spacing_mm, face.sigma_mm, frame.into(pinhole), pixels.astype(np.float64), noise)
 
 
 def _feature(index: int, hole: Hole, frame: PlaneFrame, face: FaceFit) -> FeatureFit:
@@ -127,33 +229,71 @@ def _feature(index: int, hole: Hole, frame: PlaneFrame, face: FaceFit) -> Featur
         radius_mm=hole.radius_mm,
         covariance_mm2=frame.axes.T @ covariance @ frame.axes,
         axis_sigma_deg=float(np.degrees(np.sqrt(np.trace(hole.covariance[2:, 2:]) / 2.0))),
+        pivot_mm=pivot(hole.covariance),
         points=hole.points,
         residual_mm=hole.residual_mm,
+        chamfer_radius_mm=hole.chamfer_radius_mm,
     )
 
 
-def _fit_pattern(features: tuple[FeatureFit, ...], frame: PlaneFrame, part: Part) -> PatternFit:
-    """Least squares of the nominal pattern on the centres, in the plane of the face."""
-    centres, covariances = np.full((part.count, 2), np.nan), np.tile(np.eye(2), (part.count, 1, 1))
+def _fit_pattern(
+    features: tuple[FeatureFit, ...], frame: PlaneFrame, part: Part
+) -> tuple[PatternFit, tuple[FeatureFit, ...]]:
+    """Least squares of the nominal pattern on the centres, in the plane of the face, and the features it rests on.
+
+    A feature that lies farther off its place than any drawing allows is none of the pattern's: the worst is left out
+    until none is left. Raises Refused wrong_part where too many are.
+    """
+    centres, covariances = _centres(features, frame, part), np.tile(np.eye(2), (part.count, 1, 1))
     for feature in features:
-        if feature.center_mm is not None and feature.covariance_mm2 is not None:
-            centres[feature.index] = frame.into(feature.center_mm)[:2]
+        if feature.covariance_mm2 is not None:
             covariances[feature.index] = (frame.axes @ feature.covariance_mm2 @ frame.axes.T)[:2, :2]
-    fitted = fit_pattern(part, centres, covariances, 0.0)
+    allowed = off_place_mm(part) + 5.0 * np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+    kept = list(features)
+    while True:
+        fitted = fit_pattern(part, centres, covariances, 0.0)
+        miss = np.nan_to_num(np.hypot(*fitted.residuals_mm.T))
+        worst = int(np.argmax(miss - allowed))
+        if miss[worst] <= allowed[worst]:
+            break
+        centres[worst] = np.nan
+        kept[worst] = FeatureFit(worst, False, reason=f"it lies {miss[worst]:.2f} mm off its place")
+        check_off_place(part, int(np.isnan(centres[:, 0]).sum()) - sum(not feature.found for feature in features))
     if abs(fitted.diameter_mm - part.circle_diameter_mm) > 0.02 * part.circle_diameter_mm:
         raise Refused("wrong_part", f"the features lie on a circle of {fitted.diameter_mm:.2f} mm")
-    return fitted
+    return fitted, tuple(kept)
+
+
+def _check_part(scan: Columns, found: Face, seen: _Sighting, features: tuple[FeatureFit, ...], part: Part) -> None:
+    """What speaks against this being the part of the recipe. Raises Refused wrong_part."""
+    if part.feature == "hole":
+        check_hole_sizes(part, seen.walls_mm, seen.face.sigma_mm)
+        check_outlines(part, features)
+    if many_missing(part, features):
+        check_closed(part, features, scan, seen.frame, found.radii_mm, seen.face.sigma_mm, found.spacing_mm)
+
+
+def _known_well_enough(fitted: PatternFit, found: Face) -> None:
+    """A place that is known to a fraction of a millimetre at best serves no joint. Raises Refused."""
+    place = float(np.sqrt(np.trace(fitted.covariance[:2, :2])))
+    turn = 0.5 * fitted.diameter_mm * float(np.sqrt(fitted.covariance[2, 2]))
+    if max(place, turn) > MAX_SIGMA_MM:
+        raise Refused(
+            "too_coarse",
+            f"the pattern is known to {max(place, turn):.2f} mm only, {MAX_SIGMA_MM:g} mm are allowed; "
+            f"points lie {found.spacing_mm:.2f} mm apart and scatter by {found.plane.sigma_mm:.2f} mm",
+        )
 
 
 def _quality(
-    face: FaceFit, frame: PlaneFrame, local: Array, found: Face, features: tuple[FeatureFit, ...],
-    fitted: PatternFit, part: Part, eye: Array,
+    scan: Columns, places: _Places, face: FaceFit, frame: PlaneFrame, found: Face, features: tuple[FeatureFit, ...],
+    fitted: PatternFit, eye: Array,
 ) -> dict[str, float]:  # fmt: skip
     carried = [feature.points for feature in features if feature.found]
     return {
-        "coverage": coverage(local, part, found.radii_mm, found.spacing_mm, 5.0 * face.sigma_mm + 0.01),
+        "coverage": places.coverage,
         "distance_mm": float(abs(frame.into(eye)[2])),
-        "points": float(len(local)),
+        "points": float(len(scan)),
         "spacing_mm": found.spacing_mm,
         "sigma_mm": face.sigma_mm,
         "found": float(len(carried)),
@@ -226,9 +366,9 @@ def _carry_feature(feature: FeatureFit, T: Array) -> FeatureFit:
     if feature.center_mm is None or feature.axis is None or feature.covariance_mm2 is None:
         return feature
     rotation = T[:3, :3]
-    return FeatureFit(
-        index=feature.index, found=True, center_mm=transform(T, feature.center_mm), axis=rotation @ feature.axis,
-        radius_mm=feature.radius_mm, covariance_mm2=rotation @ feature.covariance_mm2 @ rotation.T,
-        axis_sigma_deg=feature.axis_sigma_deg, thread=feature.thread, points=feature.points,
-        residual_mm=feature.residual_mm, reason=feature.reason,
-    )  # fmt: skip
+    return replace(
+        feature,
+        center_mm=transform(T, feature.center_mm),
+        axis=rotation @ feature.axis,
+        covariance_mm2=rotation @ feature.covariance_mm2 @ rotation.T,
+    )

@@ -19,7 +19,7 @@ class Refused(Exception):
     """The measurement is refused: `code` is stable, `reason` is one sentence. There is never a pose beside it.
 
     Codes: too_few_points, not_finite, wrong_unit, too_coarse, too_noisy, out_of_range, face_not_found, face_warped,
-    features_missing, wrong_part, pattern_ambiguous, thread_wrong, artefact_moved, frames_disagree.
+    features_missing, wrong_part, pattern_ambiguous, thread_wrong, artefact_moved, frames_disagree, not_measurable.
     """
 
     def __init__(self, code: str, reason: str) -> None:
@@ -100,7 +100,10 @@ class ThreadFit:
 class FeatureFit:
     """One hole or stud. `center_mm` is where its axis meets the face plane; None where it was not found.
 
-    `covariance_mm2` (3, 3) is type A, of `center_mm`; `reason` says why it was not found.
+    `covariance_mm2` (3, 3) is type A, of `center_mm`; `reason` says why it was not found. `chamfer_radius_mm` is where
+    the chamfer meets the face, None where none was fitted. `pivot_mm` is the height above the face, along its outward
+    normal, at which the axis is known best: its place there and its lean (`axis_sigma_deg` in each direction) are
+    independent, so a height z has the variance (c - pivot^2 lean^2) + (z - pivot)^2 lean^2 with c that of the centre.
     """
 
     index: int
@@ -110,10 +113,18 @@ class FeatureFit:
     radius_mm: float | None = None
     covariance_mm2: Array | None = None
     axis_sigma_deg: float | None = None
+    pivot_mm: float = 0.0
     thread: ThreadFit | None = None
     points: int = 0
     residual_mm: float = float("nan")
     reason: str = ""
+    chamfer_radius_mm: float | None = None
+
+
+def pivot(covariance: Array) -> float:
+    """`FeatureFit.pivot_mm` from the covariance (4, 4) of the place on the face (2, mm) and of the slopes (2)."""
+    lean = float(np.trace(covariance[2:, 2:]))
+    return -float(np.trace(covariance[:2, 2:])) / lean if lean > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,6 @@
-"""Noise that neighbouring pixels share: how far it reaches, and a field that stands for it in a fit.
+"""Noise that neighbouring pixels share: how far it reaches, as the face's residuals show it on the pixel grid.
 
-Structured light decodes depth over a neighbourhood, so errors are smooth across a few pixels. What the face shows
-beside a hole then says what the chamfer's error is; a fit that estimates this field along with the hole uses it.
+Structured light decodes depth over a neighbourhood, so errors are smooth across a few pixels.
 """
 
 from __future__ import annotations
@@ -11,7 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array
+from cellctl.vision.part import FaceFit
 
 Image = NDArray[np.float32]
 
@@ -19,7 +20,7 @@ LAGS = np.arange(1, 7)
 FAR_LAGS = (12, 15)
 LEAST_NEIGHBOUR = 0.15  # correlation of next neighbours below which noise counts as white
 CLIP = 3.5
-LATTICE = 0.8  # node distance in lengths: wider and the field leaves ripples of its own
+BAND_PIXELS = 200_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +30,29 @@ class SharedNoise:
     length_px: float
     share: float
 
+    def at(self, square_px: Array) -> Array:
+        """Correlation at squared distances > 0."""
+        return np.asarray(self.share * np.exp(-square_px / self.length_px**2))
 
-def estimate(residuals: Array, sigma: float) -> SharedNoise | None:
+
+def on_face(scan: Columns, rows: NDArray[np.intp], face: FaceFit) -> SharedNoise | None:
+    """What the face's residuals on the pixel grid say, from `rows` (n,) of an organised scan that lie on the face.
+
+    A band of image rows across the face shows it as well as the whole.
+    """
+    assert scan.pixels is not None
+    height, width = scan.shape
+    counts = np.cumsum(np.append(0, np.bincount(scan.pixels[rows] // width, minlength=height)))
+    band = int(min(height, max(4 * FAR_LAGS[-1], np.ceil(BAND_PIXELS / width))))
+    top = int(np.argmax(counts[band:] - counts[:-band]))
+    chosen = rows[counts[top] : counts[top + band]]
+    image = np.full((band, width), np.nan, dtype=np.float32)
+    left = scan.take(chosen).above(face.normal, float(face.normal @ face.point_mm))
+    image.reshape(-1)[scan.pixels[chosen] - top * width] = left
+    return estimate(image, face.sigma_mm)
+
+
+def estimate(residuals: NDArray[np.floating], sigma: float) -> SharedNoise | None:
     """From the face's residuals on the pixel grid (H, W), NaN elsewhere; None where they are as good as white.
 
     What correlates over more than a dozen pixels is ripple, which belongs to type B, and is taken off.
@@ -40,9 +62,13 @@ def estimate(residuals: Array, sigma: float) -> SharedNoise | None:
         return None
     z = np.where(used, residuals, 0.0).astype(np.float32)
     mask = used.astype(np.float32)
-    near = np.array([_correlation(z, mask, int(lag)) for lag in LAGS])
-    far = float(np.mean([_correlation(z, mask, lag) for lag in FAR_LAGS]))
-    rho = (near - far) / max(1.0 - far, 0.1)
+    variance = float(np.square(z).sum(dtype=np.float64)) / float(np.count_nonzero(used))
+    near = [_correlation(z, mask, 1) / variance]
+    if near[0] < LEAST_NEIGHBOUR:
+        return None
+    near += [_correlation(z, mask, int(lag)) / variance for lag in LAGS[1:]]
+    far = float(np.mean([_correlation(z, mask, lag) / variance for lag in FAR_LAGS]))
+    rho = (np.array(near) - far) / max(1.0 - far, 0.1)
     if not np.isfinite(rho).all() or rho[0] < LEAST_NEIGHBOUR:
         return None
     lengths = np.linspace(0.6, 8.0, 75)
@@ -53,33 +79,12 @@ def estimate(residuals: Array, sigma: float) -> SharedNoise | None:
 
 
 def _correlation(z: Image, mask: Image, lag: int) -> float:
-    """Mean correlation of pixels `lag` apart in rows and columns; `z` is zero where `mask` is."""
-    total = count = 0.0
+    """Mean product of pixels `lag` apart in rows and columns; `z` is zero where `mask` is."""
+    sums = count = 0.0
     for ahead, behind in ((np.s_[lag:], np.s_[:-lag]), (np.s_[:, lag:], np.s_[:, :-lag])):
-        total += float(np.einsum("ij,ij->", z[ahead], z[behind]))
-        count += float(np.einsum("ij,ij->", mask[ahead], mask[behind]))
-    variance = float(np.einsum("ij,ij->", z, z)) / float(mask.sum())
-    return total / max(count, 1.0) / max(variance, 1e-30)
-
-
-def field_basis(pixels: Array, noise: SharedNoise) -> NDArray[np.float64]:
-    """Smooth functions (M, p) at pixels (M, 2) whose sum with independent unit coefficients has the shared correlation.
-
-    Gaussians of width length / 2 on a lattice as wide as the length: their correlation is exp(-d^2 / length^2).
-    Only lattice nodes near a pixel are kept; every row has unit length.
-    """
-    width, step = 0.5 * noise.length_px, LATTICE * noise.length_px
-    low = pixels.min(axis=0) - step
-    at = (pixels - low) / step
-    shape = np.ceil(at.max(axis=0)).astype(np.int64) + 2
-    corners = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
-    cells = np.floor(at).astype(np.int64)[:, None] + corners
-    nodes = np.unique(cells[..., 0] * shape[1] + cells[..., 1])
-    # a Gaussian separates: rows and columns of the lattice each have few values
-    down = np.exp(-(((at[:, :1] - np.arange(shape[0])) * step / width) ** 2) / 2.0)
-    right = np.exp(-(((at[:, 1:] - np.arange(shape[1])) * step / width) ** 2) / 2.0)
-    basis = down[:, nodes // shape[1]] * right[:, nodes % shape[1]]
-    return np.asarray(basis / np.sqrt(np.einsum("ij,ij->i", basis, basis))[:, None])
+        sums += float((z[ahead] * z[behind]).sum(dtype=np.float64))
+        count += float((mask[ahead] * mask[behind]).sum(dtype=np.float64))
+    return sums / max(count, 1.0)
 
 
 def correlated(columns: Array, pixels: Array, noise: SharedNoise) -> Array:

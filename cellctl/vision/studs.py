@@ -2,41 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame, Points
-from cellctl.vision.grid import find_islands, rasterise, spacing
-from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit
+from cellctl.vision.grid import spacing
+from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit, pivot
 from cellctl.vision.pattern import find_pattern, nominal
-from cellctl.vision.thread_solve import Priors, Solution, best_phase, solve
-from cellctl.vision.thread_surface import OWN, TIP, Form, Rays
-from cellctl.vision.thread_vote import ThreadVote, check_vote, vote
+from cellctl.vision.stud_points import LEAST_HEIGHT_MM, Near, gather
+from cellctl.vision.stud_tips import find_tips, radius_of, tip_levels
+from cellctl.vision.thread_normal import Priors
+from cellctl.vision.thread_solve import Solution, solve
+from cellctl.vision.thread_start import Start, best_lead_in, best_phase, seekers, thinned
+from cellctl.vision.thread_surface import OWN, PITCH, RADIUS, ROOT_PITCHES, TIP, Form, Rays
+from cellctl.vision.thread_vote import ThreadVote, check_vote, shows, vote
 
 AXIS_PRIOR_DEG = 0.03
 """One sigma of a stud's lean against the face's normal: a tapped hole's perpendicularity, with room to spare."""
-MIN_POINTS = 25
+MIN_POINTS = 12
 """Fewer points on a stud's thread and lead-in do not fix its axis."""
 MIN_SHARE = 0.5
 """A smaller share of the points around a stud that fit it means that it is something else."""
 MIN_VOTERS, CLEAR_VOTE = 100, 0.35
 """Points and score with which one stud alone says what thread it has."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """Points near the studs in the face's frame, with the pixel (N,) each came from; tips (n,) above the face."""
-
-    rays: Rays
-    pixels: NDArray[np.intp]
-    tips: Array
+VOTERS = 200
+"""Points of a stud that vote."""
+LEAD_IN_PITCHES = np.array([0.0, 0.35, 0.6, 0.9, 1.3, 1.9, 2.7])
+LENGTH_TOLERANCE, RADIUS_TOLERANCE = 0.1, 0.02
+"""Shares of the recipe's sizes by which a stud may differ, beside 1 mm of length and 0.15 mm of radius."""
 
 
 def measure_studs(
-    points: Points,
+    points: Points | Columns,
     face: FaceFit,
     part: Part,
     T_scanner_part: Array | None = None,
@@ -47,183 +44,180 @@ def measure_studs(
 ) -> tuple[FeatureFit, ...]:
     """One `FeatureFit` per feature of the pattern, in the frame of `points`; those not seen say why.
 
-    `points` (..., 3) in mm, organised (H, W, 3) where neighbours shall be used; `face` in the same frame. The pattern
-    is searched for unless `T_scanner_part` (4, 4) gives its pose; with no index its zero is then the nearest
-    equivalent to `reference` (3,) (x axis). `viewpoint` (3,) is the camera's pinhole (origin). Axis: fit of the
-    helix's flanks, crests and lead-in, the face's normal as prior with `axis_prior_deg`, which stands in the
-    covariance. Raises Refused (features_missing, pattern_ambiguous, thread_wrong).
+    `points` (..., 3) in mm or as columns, organised where neighbours shall be used; `face` in the same frame. The
+    pattern is searched for unless `T_scanner_part` (4, 4) gives its pose; with no index its zero is then the nearest
+    equivalent to `reference` (3,) (x axis). `viewpoint` (3,) is the camera's pinhole (origin). Sizes that `part` does
+    not give are estimated, and a thread is looked for. Axis: fit of the helix's flanks, crests and lead-in; the face's
+    normal is its prior with `axis_prior_deg`, or wider where the studs show that they lean more. Raises Refused
+    (features_missing, pattern_ambiguous, thread_wrong, wrong_part).
     """
     frame = PlaneFrame.on(face.point_mm, face.normal, np.array([1.0, 0.0, 0.0]) if reference is None else reference)
     eye = frame.into(np.zeros(3) if viewpoint is None else viewpoint)
-    flat = points.reshape(-1, 3)
-    length, radius = _length(part), _radius(part)
-    chosen = np.flatnonzero(_within(flat, frame, length))
-    local = frame.into(flat[chosen])
-    centres = _pattern(local, part, frame, T_scanner_part, length, radius)
-    bevel = part.thread.pitch_mm if part.thread else 0.25 * radius
-    seen = _gather(local, chosen, centres, eye, length, radius, max(bevel, 0.25 * radius))
-    counts = np.bincount(seen.rays.stud, minlength=part.count)
-    if np.count_nonzero(counts >= MIN_POINTS) < 3:
+    scan = points if isinstance(points, Columns) else Columns.of(points)
+    height = scan.above(face.normal, float(face.point_mm @ face.normal))
+    most = 1.3 * part.length_mm + 3.0 if part.length_mm is not None else 2.0 * part.circle_diameter_mm
+    above = scan.take(np.flatnonzero((height > max(LEAST_HEIGHT_MM, 8.0 * face.sigma_mm)) & (height < most)))
+    local = _into(above, frame)
+    centres = _pattern(local, part, frame, T_scanner_part)
+    near = gather(local, above.pixels, centres, part, eye)
+    if np.count_nonzero(near.counts >= MIN_POINTS) < 3:
         raise Refused("features_missing", "fewer than three studs stand on the face")
-    solution, form, ballot = _fit(seen, centres, part, length, radius, axis_prior_deg, points.shape[:-1])
-    return _results(solution, form, ballot, seen, frame, part)
+    _check_length(near, part)
+    solution, form, ballot = _fit(near, part, axis_prior_deg, above.shape)
+    _check_radius(solution, part)
+    return _results(solution, form, ballot, near, frame, face, part)
 
 
-def _length(part: Part) -> float:
-    if part.length_mm is None:
-        raise Refused("wrong_part", "the recipe gives no length of the studs")
-    return part.length_mm
+def _into(points: Columns, frame: PlaneFrame) -> Array:
+    """(3, N) coordinates in the face's frame, float64."""
+    offsets = np.stack([points.x, points.y, points.z], dtype=np.float64) - frame.origin[:, None]
+    return np.asarray(np.einsum("ij,jn->in", frame.axes, offsets))
 
 
-def _radius(part: Part) -> float:
-    if part.thread is not None:
-        return 0.5 * part.thread.major_diameter_mm
-    if part.diameter_mm is None:
-        raise Refused("wrong_part", "the recipe gives neither thread nor diameter of the studs")
-    return 0.5 * float(np.median(part.diameter_mm))
-
-
-def _within(flat: Points, frame: PlaneFrame, length: float) -> Array:
-    """Which points stand above the face, no higher than a stud."""
-    normal = frame.axes[2].astype(flat.dtype)
-    height = flat @ normal - flat.dtype.type(frame.origin @ frame.axes[2])
-    with np.errstate(invalid="ignore"):
-        return np.asarray((height > 0.03 * length) & (height < length + 1.0))
-
-
-def _pattern(
-    local: Array, part: Part, frame: PlaneFrame, T_scanner_part: Array | None, length: float, radius: float
-) -> Array:
+def _pattern(local: Array, part: Part, frame: PlaneFrame, T_scanner_part: Array | None) -> Array:
     """Expected axes (n, 2) on the face: from the given pose, or from the tips' pattern without any prior clocking."""
     if T_scanner_part is not None:
         outline = np.column_stack([nominal(part), np.zeros(part.count)])
         return frame.into(outline @ T_scanner_part[:3, :3].T + T_scanner_part[:3, 3])[:, :2]
-    tips = local[np.abs(local[:, 2] - length) < 0.05 * length + 0.5, :2]
-    if len(tips) < 3 * 4:
-        raise Refused("features_missing", "nothing stands on the face at the height of the studs")
-    cell = max(1.2 * spacing(tips, coarse_mm=radius), 0.1 * radius)
-    islands = [v for v in find_islands(rasterise(tips, cell, 2 * radius)) if 0.3 < v.radius_mm / radius < 2.0]
-    if len(islands) < 3:
-        raise Refused("features_missing", "fewer than three studs stand on the face")
-    places = np.array([island.position_mm for island in islands])
-    sizes = np.array([island.radius_mm for island in islands])
-    found = find_pattern(part, places, sizes, np.ones(len(places)), 0.25 * radius)
-    if found is None:
-        raise Refused("features_missing", "the studs that were seen do not make the pattern")
-    c, s = np.cos(found.clocking_rad), np.sin(found.clocking_rad)
-    return np.asarray(found.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]]))
+    radius = radius_of(part) or 0.015 * part.circle_diameter_mm
+    for level in tip_levels(local[2], part):
+        on = np.abs(local[2] - level) < 0.4
+        tips = find_tips(local[:2].T, local[2], part, spacing(local[:2, on].T, coarse_mm=radius), level)
+        if len(tips) < 3:
+            continue
+        places = np.array([tip.position_mm for tip in tips])
+        sizes = np.array([tip.radius_mm for tip in tips])
+        found = find_pattern(part, places, sizes, np.ones(len(places)), max(0.25 * radius, 0.5))
+        if found is not None:
+            c, s = np.cos(found.clocking_rad), np.sin(found.clocking_rad)
+            return np.asarray(found.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]]))
+    raise Refused("features_missing", "no studs in the pattern stand on the face")
 
 
-def _gather(
-    local: Array, pixels: NDArray[np.intp], centres: Array, eye: Array, length: float, radius: float, bevel: float
-) -> _Seen:
-    """Points within reach of a stud. The flat end gives the stud's height and is left out within `bevel` of its rim."""
-    reach = 1.15 * radius + 0.3
-    distance, nearest = cKDTree(centres).query(local[:, :2], distance_upper_bound=reach)
-    near = np.flatnonzero(np.isfinite(distance))
-    stud, from_axis = np.asarray(nearest, dtype=np.intp)[near], np.asarray(distance)[near]
-    tips = np.full(len(centres), length)
-    for i in range(len(centres)):
-        flat = local[near[(stud == i) & (from_axis < 0.6 * radius)], 2]
-        flat = flat[flat > 0.9 * length]
-        if len(flat) >= 5:
-            tips[i] = np.median(flat)
-    side = (local[near, 2] < tips[stud] + 0.3) & (from_axis > radius - bevel)
-    near, stud = near[side], stud[side]
-    rays = local[near] - eye
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    return _Seen(Rays(local[near], rays, stud), pixels[near], tips)
+def _check_length(near: Near, part: Part) -> None:
+    if part.length_mm is None:
+        return
+    length = float(np.median(near.tips[near.counts >= MIN_POINTS]))
+    if abs(length - part.length_mm) > 1.0 + LENGTH_TOLERANCE * part.length_mm:
+        raise Refused("wrong_part", f"the studs are {length:.1f} mm long; the recipe says {part.length_mm:g} mm")
+
+
+def _check_radius(solution: Solution, part: Part) -> None:
+    """Refuse studs of another size than the recipe's."""
+    expected, radius = radius_of(part), float(solution.shared[0])
+    if expected is None or abs(radius - expected) <= 0.15 + RADIUS_TOLERANCE * expected:
+        return
+    code = "wrong_part" if part.thread is None else "thread_wrong"
+    raise Refused(code, f"the studs have a radius of {radius:.2f} mm; the recipe says {expected:.2f} mm")
 
 
 def _fit(
-    seen: _Seen, centres: Array, part: Part, length: float, radius: float, axis_prior_deg: float, shape: tuple[int, ...]
+    near: Near, part: Part, axis_prior_deg: float, shape: tuple[int, ...]
 ) -> tuple[Solution, Form, ThreadVote | None]:
     """Vote for the thread, then least squares of every stud with one common thread."""
-    count, rays = len(centres), seen.rays
-    pitch = part.thread.pitch_mm if part.thread else 1.0
-    own = np.zeros((count, OWN))
-    own[:, :2] = centres
-    own[:, 5] = seen.tips + radius - 0.6 * pitch
-    ballot = None
-    hand, starts, middle = 0, 1, 0.5 * length
-    if part.thread is not None:
-        ballot = _vote(rays, centres, seen.tips, pitch)
-        check_vote(ballot, part.thread)
-        hand, starts = (1 if ballot.hand == "right" else -1), ballot.starts
-        own[:, 4] = ballot.phase_mm - middle
-    form = Form(hand, starts, middle, seen.tips)
-    lean = np.radians(axis_prior_deg)
-    priors = Priors(np.array([2.0, 2.0, lean, lean, np.inf, 1.0]), np.array([0.04, 1e-4, 0.05]))
-    shared = np.array([radius, pitch / 16.0, ballot.pitch_mm if ballot else pitch])
+    ballot = _ballot(near, part)
+    pitch = ballot.pitch_mm if ballot else 0.25 * near.radius_mm
+    length = float(np.median(near.tips))
+    own = np.zeros((len(near.tips), OWN))
+    own[:, :2] = near.middles
+    own[:, 5] = near.tips - 0.6 * pitch
+    form = Form(0, 1, 0.5 * length, near.tips, near.extra_mm)
+    shared = np.array([near.radius_mm, pitch / 16.0, pitch, 1.0, near.radius_mm - ROOT_PITCHES * pitch])
+    some = seekers(near.rays)
     if ballot is not None:
-        own[:, 4] = best_phase(rays, own, shared, form)
-    return solve(rays, own, shared, form, priors, pixels=seen.pixels, shape=shape), form, ballot
+        form = Form(1 if ballot.hand == "right" else -1, ballot.starts, 0.5 * length, near.tips, near.extra_mm)
+        own[:, 4] = ballot.phase_mm - form.middle_mm
+        own[:, 4] = best_phase(some, own, shared, form)
+    own[:, 5] = near.tips - best_lead_in(some, own, shared, form, LEAD_IN_PITCHES * pitch)
+    lean = np.radians(axis_prior_deg)
+    spread = np.array([0.1, 0.03 * pitch, 0.05 * pitch, 0.3, 0.1 * pitch])
+    if ballot is None:
+        spread[1:3] = 1e-6
+    priors = Priors(np.array([2.0, 2.0, lean, lean, np.inf, 1.0]), spread)
+    start = Start(own, shared, priors, form, near.expected)
+    return solve(near.rays, start, pixels=near.pixels, shape=shape), form, ballot
 
 
-def _vote(rays: Rays, centres: Array, tips: Array, pitch: float) -> ThreadVote:
-    offset = rays.points[:, :2] - centres[rays.stud]
-    height = rays.points[:, 2]
-    side = np.flatnonzero((height > 2.0) & (height < tips[rays.stud] - 1.2 * pitch))
+def _ballot(near: Near, part: Part) -> ThreadVote | None:
+    """What thread the studs carry together; None for plain pins where the recipe asks for no thread."""
+    try:
+        ballot = _vote(near.rays.take(thinned(near.rays.stud, VOTERS)), near, part.thread)
+    except Refused:
+        if part.thread is not None:
+            raise
+        return None
+    if part.thread is not None:
+        check_vote(ballot, part.thread)
+    return ballot if shows(ballot) else None
+
+
+def _vote(rays: Rays, near: Near, expected: Thread | None) -> ThreadVote:
+    x, y = rays.points[:2] - near.middles.T[:, rays.stud]
+    height = rays.points[2]
+    pitch = expected.pitch_mm if expected is not None else 0.25 * near.radius_mm
+    side = np.flatnonzero((height > 2.0) & (height < near.tips[rays.stud] - 1.2 * pitch))
     if len(side) < 50:
         raise Refused("too_few_points", "too few points on the flanks of the studs")
-    radius, angle = np.hypot(*offset[side].T), np.arctan2(offset[side, 1], offset[side, 0])
+    low, high = (0.45 * pitch, 2.2 * pitch) if expected is not None else (0.08 * near.radius_mm, 0.6 * near.radius_mm)
     return vote(
-        radius, angle, height[side], rays.stud[side], len(centres), pitch_low_mm=0.45 * pitch, pitch_high_mm=2.2 * pitch
-    )
+        np.sqrt(x * x + y * y)[side], np.arctan2(y, x)[side], height[side], rays.stud[side], len(near.tips),
+        pitch_low_mm=low, pitch_high_mm=high, max_starts=max(3, expected.starts if expected is not None else 0),
+    )  # fmt: skip
 
 
 def _results(
-    solution: Solution, form: Form, ballot: ThreadVote | None, seen: _Seen, frame: PlaneFrame, part: Part
+    solution: Solution, form: Form, ballot: ThreadVote | None, near: Near, frame: PlaneFrame, face: FaceFit, part: Part
 ) -> tuple[FeatureFit, ...]:
     on_side = solution.surface < TIP
     used = (solution.weights > 0) & on_side
     fits = []
     for i in range(part.count):
-        mine = (seen.rays.stud == i) & on_side
-        fit, there = int(np.count_nonzero(used & mine)), int(np.count_nonzero(mine))
+        mine = slice(near.starts[i], near.starts[i + 1])
+        fit, there = int(np.count_nonzero(used[mine])), int(np.count_nonzero(on_side[mine]))
         reason = _why_not(fit, there, solution.own_covariance[i])
         if not reason:
-            rms = float(np.sqrt(np.mean(solution.residuals_mm[used & mine] ** 2)))
-            fits.append(_found(i, solution, form, ballot, frame, fit, rms))
+            rms = float(np.sqrt(np.mean(solution.residuals_mm[mine][used[mine]] ** 2)))
+            fits.append(_found(i, solution, form, ballot, frame, face, fit, rms))
             continue
         if part.thread is not None and there >= MIN_VOTERS:
-            _check_alone(i, seen, solution.own[i], part.thread)
+            _check_alone(i, near, part.thread)
         fits.append(FeatureFit(i, False, points=fit, reason=reason))
     return tuple(fits)
 
 
 def _found(
-    index: int,
-    solution: Solution,
-    form: Form,
-    ballot: ThreadVote | None,
-    frame: PlaneFrame,
-    points: int,
-    residual_mm: float,
-) -> FeatureFit:
+    index: int, solution: Solution, form: Form, ballot: ThreadVote | None, frame: PlaneFrame, face: FaceFit,
+    points: int, residual_mm: float,
+) -> FeatureFit:  # fmt: skip
     own, covariance = solution.own[index], solution.own_covariance[index]
     axis = np.array([own[2], own[3], 1.0])
+    centre = frame.out(np.array([own[0], own[1], 0.0]))
+    # the centre lies on the face, so the face's height joins its covariance
+    arm = face.tilt_axes @ (centre - face.point_mm)
+    lever = np.array([1.0, arm[1], -arm[0]])
+    spread = np.zeros((3, 3))
+    spread[:2, :2] = covariance[:2, :2]
+    spread[2, 2] = lever @ face.covariance @ lever
     return FeatureFit(
         index=index,
         found=True,
-        center_mm=frame.out(np.array([own[0], own[1], 0.0])),
+        center_mm=centre,
         axis=axis @ frame.axes / np.linalg.norm(axis),
-        radius_mm=float(solution.shared[0]),
-        covariance_mm2=frame.axes[:2].T @ covariance[:2, :2] @ frame.axes[:2],
+        radius_mm=float(solution.shared[0] + form.extra_mm[index]),
+        covariance_mm2=frame.axes.T @ spread @ frame.axes,
         axis_sigma_deg=float(np.degrees(np.sqrt(np.trace(covariance[2:4, 2:4]) / 2.0))),
+        pivot_mm=pivot(covariance[:4, :4]),
         thread=_thread(solution, form, ballot, own),
         points=points,
         residual_mm=residual_mm,
     )
 
 
-def _check_alone(index: int, seen: _Seen, own: Array, expected: Thread) -> None:
+def _check_alone(index: int, near: Near, expected: Thread) -> None:
     """A stud that does not go with the others may carry another thread: let its points vote alone."""
-    mine = np.flatnonzero(seen.rays.stud == index)
-    rays = seen.rays.take(mine)
-    alone = Rays(rays.points, rays.directions, np.zeros(len(mine), dtype=np.intp))
+    rays = near.rays.take(slice(near.starts[index], near.starts[index + 1]))
     try:
-        ballot = _vote(alone, own[None, :2], seen.tips[index : index + 1], expected.pitch_mm)
+        ballot = _vote(Rays(rays.points, rays.directions, np.zeros_like(rays.stud)), near.only(index), expected)
     except Refused:
         return
     if ballot.score > CLEAR_VOTE:
@@ -233,10 +227,10 @@ def _check_alone(index: int, seen: _Seen, own: Array, expected: Thread) -> None:
 def _thread(solution: Solution, form: Form, ballot: ThreadVote | None, own: Array) -> ThreadFit | None:
     if ballot is None:
         return None
-    radius, _, pitch = (float(value) for value in solution.shared)
+    radius, pitch = float(solution.shared[RADIUS]), float(solution.shared[PITCH])
     sigma = np.sqrt(np.diag(solution.shared_covariance))
     phase = float((own[4] + form.middle_mm) / pitch * 2.0 * np.pi % (2.0 * np.pi))
-    return ThreadFit(radius, pitch, ballot.hand, ballot.starts, phase, float(sigma[0]), float(sigma[2]))
+    return ThreadFit(radius, pitch, ballot.hand, ballot.starts, phase, float(sigma[RADIUS]), float(sigma[PITCH]))
 
 
 def _why_not(used: int, there: int, covariance: Array) -> str:

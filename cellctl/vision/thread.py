@@ -11,9 +11,11 @@ from cellctl.vision.cluster import crest_points
 from cellctl.vision.geometry import Array, PlaneFrame
 from cellctl.vision.part import Refused, Thread, ThreadFit
 from cellctl.vision.pca import principal
-from cellctl.vision.thread_solve import Priors, Solution, best_phase, solve
-from cellctl.vision.thread_surface import LOWER, OWN, Form, Rays
-from cellctl.vision.thread_vote import ThreadVote, check_vote, vote
+from cellctl.vision.thread_normal import Priors
+from cellctl.vision.thread_solve import Solution, solve
+from cellctl.vision.thread_start import Start, best_phase, seekers
+from cellctl.vision.thread_surface import LEAD_IN, OWN, PITCH, RADIUS, ROOT_PITCHES, Form, Rays
+from cellctl.vision.thread_vote import ThreadVote, check_vote, shows, vote
 
 MIN_POINTS = 200
 CREST_BAND = 0.15
@@ -74,13 +76,13 @@ def fit_thread(
     ballot = vote(radius, angle, local[:, 2], alone, 1, pitch_low_mm=low, pitch_high_mm=high)
     if nominal is not None:
         check_vote(ballot, nominal)
-    elif ballot.score < 0.05:
+    elif not shows(ballot):
         raise Refused("thread_wrong", f"no thread shows in the points (vote {ballot.score:.3f})")
     _, crest = crest_points(local, noise_mm=noise_mm, depth_mm=CREST_BAND * ballot.pitch_mm)
-    rays = local - frame.into(eye)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = (local - frame.into(eye)).T
+    rays /= np.sqrt(np.sum(rays * rays, axis=0))
     chosen = pixels[rows] if pixels is not None else None
-    solution, form = _solve(Rays(local, rays, alone), ballot, crest, chosen, shape)
+    solution, form = _solve(Rays(np.ascontiguousarray(local.T), rays, alone), ballot, crest, chosen, shape)
     _check_radius(float(solution.shared[0]), nominal)
     return _result(solution, form, ballot, frame, points, rows, noise_mm)
 
@@ -126,13 +128,14 @@ def _solve(
     rays: Rays, ballot: ThreadVote, crest_mm: float, pixels: NDArray[np.intp] | None, shape: tuple[int, ...]
 ) -> tuple[Solution, Form]:
     pitch = ballot.pitch_mm
-    form = Form(1 if ballot.hand == "right" else -1, ballot.starts, 0.0, np.array([FAR_MM]))
+    form = Form(1 if ballot.hand == "right" else -1, ballot.starts, 0.0, np.array([FAR_MM]), np.zeros(1))
     own = np.zeros((1, OWN))
     own[0, 4], own[0, 5] = ballot.phase_mm[0], FAR_MM
-    shared = np.array([crest_mm, pitch / 16.0, pitch])
-    own[:, 4] = best_phase(rays, own, shared, form, steps=32)
-    priors = Priors(np.array([2.0, 2.0, 0.1, 0.1, np.inf, 1e-3]), np.array([0.3, 0.03 * pitch, 0.05 * pitch]))
-    return solve(rays, own, shared, form, priors, pixels=pixels, shape=shape, rounds=25), form
+    shared = np.array([crest_mm, pitch / 16.0, pitch, 1.0, crest_mm - ROOT_PITCHES * pitch])
+    own[:, 4] = best_phase(seekers(rays), own, shared, form, steps=32)
+    spread = np.array([0.3, 0.03 * pitch, 0.05 * pitch, 1e-3, 0.1 * pitch])
+    priors = Priors(np.array([2.0, 2.0, 0.1, 0.1, np.inf, 1e-3]), spread)
+    return solve(rays, Start(own, shared, priors, form), pixels=pixels, shape=shape), form
 
 
 def _check_radius(radius: float, nominal: Thread | None) -> None:
@@ -152,9 +155,9 @@ def _result(
     rows: NDArray[np.intp],
     noise_mm: float,
 ) -> ThreadResult:
-    radius, _, pitch = (float(value) for value in solution.shared)
+    radius, pitch = float(solution.shared[RADIUS]), float(solution.shared[PITCH])
     own = solution.own[0]
-    used = (solution.weights > 0) & (solution.surface <= LOWER)
+    used = (solution.weights > 0) & (solution.surface < LEAD_IN)
     place = frame.out(np.array([own[0], own[1], 0.0]))
     sigmas = np.sqrt(np.diag(solution.shared_covariance))
     direction = np.array([own[2], own[3], 1.0]) @ frame.axes
@@ -169,8 +172,8 @@ def _result(
             hand=ballot.hand,
             starts=ballot.starts,
             phase_rad=float((own[4] + form.middle_mm) / pitch * 2.0 * np.pi % (2.0 * np.pi)),
-            sigma_radius_mm=float(sigmas[0]),
-            sigma_pitch_mm=float(sigmas[2]),
+            sigma_radius_mm=float(sigmas[RADIUS]),
+            sigma_pitch_mm=float(sigmas[PITCH]),
         ),
         point_mm=place,
         direction=direction,

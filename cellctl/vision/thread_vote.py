@@ -12,13 +12,15 @@ from cellctl.vision.part import Refused, Thread
 
 Array = NDArray[np.float64]
 
-CELL_MM = 0.02
-"""Cell of the height axis in the vote: a twentieth of the finest pitch voted for."""
+CELLS_A_PITCH = 8.0
+"""Cells of the height axis in the finest pitch that is voted for."""
+LEAST_SCORE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class ThreadVote:
-    """Winner of the vote. `score` is its share of all the power (0 to 1), `rival` the other hand's best over it.
+    """Winner of the vote. `score` is its share of all the power (0 to 1) beyond what chance gives, `rival` the other
+    hand's best over it.
 
     `phase_mm` (n,) is where the points of each stud crowd at angle 0, as a height within one pitch: the crest, or
     beside it where only one flank is seen.
@@ -51,20 +53,24 @@ def vote(
     and number of starts the votes are summed over the phase with a Fourier transform along z; studs of different
     phase add their power.
     """
-    cells = int(2 ** np.ceil(np.log2(max(64.0, 2.0 * (np.ptp(height_mm) + 1.0) / CELL_MM))))
-    bins = np.clip(((height_mm - height_mm.min()) / CELL_MM).astype(np.intp), 0, cells - 1)
-    frequency = np.arange(cells // 2) / (cells * CELL_MM)
+    cell = pitch_low_mm / CELLS_A_PITCH
+    cells = int(2 ** np.ceil(np.log2(max(64.0, 2.0 * (np.ptp(height_mm) + 1.0) / cell))))
+    bins = ((height_mm - height_mm.min()) * (1.0 / cell)).astype(np.intp)
+    frequency = np.arange(cells // 2) / (cells * cell)
     band = np.flatnonzero((frequency >= 1.0 / pitch_high_mm) & (frequency <= 1.0 / pitch_low_mm))
     places = stud * cells + bins
     voices = (_presence(stud, count), _radii(radius_mm, stud, count))
     powers: dict[int, Array] = {}
-    for turns in [k for k in range(-max_starts, max_starts + 1) if k]:
-        wave = np.exp(1j * turns * angle_rad)
-        powers[turns] = np.zeros(len(band))
+    for turns in range(1, max_starts + 1):
+        cosine, sine = np.cos(turns * angle_rad), np.sin(turns * angle_rad)
+        powers[turns], powers[-turns] = np.zeros(len(band)), np.zeros(len(band))
         for voice in voices:
-            real = np.bincount(places, voice * wave.real, count * cells).reshape(count, cells)
-            imag = np.bincount(places, voice * wave.imag, count * cells).reshape(count, cells)
-            powers[turns] += np.sum(np.abs(np.fft.fft(real + 1j * imag, axis=1)[:, band]) ** 2, axis=0)
+            real = np.bincount(places, voice * cosine, count * cells).reshape(count, cells)
+            imag = np.bincount(places, voice * sine, count * cells).reshape(count, cells)
+            spectrum = np.abs(np.fft.fft(real + 1j * imag, axis=1)) ** 2
+            # voices are real: what turns the other way stands at the negative frequencies
+            powers[turns] += spectrum[:, band].sum(axis=0)
+            powers[-turns] += spectrum[:, -band].sum(axis=0)
     tallest = max(powers, key=lambda turns: (float(powers[turns].max()), turns))
     turns, at = _fundamental(powers, tallest, band)
     power = max(float(powers[turns][at]), 1e-300)
@@ -77,15 +83,20 @@ def vote(
         pitch_mm=pitch,
         hand="right" if turns > 0 else "left",
         starts=abs(turns),
-        score=power / (2.0 * len(stud)),
+        score=_beyond_chance(power / (2.0 * len(stud)), count / len(stud)),
         rival=rivals / power,
         phase_mm=np.angle(sums) / (2.0 * np.pi) * pitch,
     )
 
 
+def shows(ballot: ThreadVote) -> bool:
+    """Whether there is a thread at all."""
+    return ballot.score > LEAST_SCORE
+
+
 def check_vote(ballot: ThreadVote, expected: Thread, where: str = "") -> None:
     """Refuse (thread_wrong) another thread than the expected one, or none at all."""
-    if ballot.score < 0.05:
+    if not shows(ballot):
         raise Refused("thread_wrong", f"{where}no thread shows (vote {ballot.score:.3f})")
     same = ballot.hand == expected.hand and ballot.starts == expected.starts
     if not same or abs(ballot.pitch_mm - expected.pitch_mm) > 0.03 * expected.pitch_mm:
@@ -107,6 +118,11 @@ def _fundamental(powers: dict[int, Array], turns: int, band: NDArray[np.intp]) -
         if len(window) and window.max() > 0.15 * powers[turns][at]:
             return turns // part, low + int(window.argmax())
     return turns, at
+
+
+def _beyond_chance(share: float, chance: float) -> float:
+    """Share of the power that points without any order, `chance` of it each, would not have."""
+    return max(0.0, share - chance) / max(1.0 - chance, 1e-9)
 
 
 def _presence(stud: NDArray[np.intp], count: int) -> Array:

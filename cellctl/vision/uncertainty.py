@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellctl.vision.contact import ContactModel, entry_forces, lateral_forces
+
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True)
-class ContactModel:
-    """What the shaft feels when a stud meets the chamfer of its hole.
-
-    `lateral_n_per_mm` holds the shaft in x, y and tangentially at the bolt circle; `stud_n_per_mm` is a stud's
-    bending; the chamfer makes `chamfer_deg` with the hole's axis.
-    """
-
-    lateral_n_per_mm: float = 1000.0
-    stud_n_per_mm: float = 15000.0
-    friction: float = 0.15
-    chamfer_deg: float = 45.0
-
-    @property
-    def axial_per_lateral(self) -> float:
-        """Axial over lateral force while a stud wedges on the chamfer: (tan phi + mu) / (1 - mu tan phi)."""
-        slope = float(np.tan(np.radians(self.chamfer_deg)))
-        return (slope + self.friction) / (1.0 - self.friction * slope)
+CONTACTS = 256
+"""Samples with contact whose forces are worked out."""
 
 
 def clearance(offsets_mm: Array, clearance_mm: Array) -> Array:
@@ -39,18 +24,26 @@ def clearance(offsets_mm: Array, clearance_mm: Array) -> Array:
 class Belief:
     """What is believed of the bolts once the shaft stands on its target.
 
-    `offsets_mm` (stations, n, 2) hole minus stud where they pass each other, `growth_mm_per_k` (n, 2) how a hole
-    moves against its stud per kelvin, `jacobian` (n, 2, 3) of the offsets to a rigid motion (mm, mm, rad),
-    `rigid_covariance` (3, 3) of that motion, `scatter_mm2` (stations, n) per axis and bolt, independent between
-    bolts; a bolt's error is taken as common to its stations. `clearance_mm` (n,).
+    `offsets_mm` (stations, n, 2) hole minus stud where they pass each other, `entering` (stations,) where the stud's
+    end passes the chamfer and `lag_mm` (n,) by how much later there than the first, `growth_mm_per_k` (n, 2) how a
+    hole moves against its stud per kelvin, `jacobian` (n, 2, 3) of the offsets to a rigid motion (mm, mm, rad),
+    `clearance_mm` (n,). Each error is one sigma of an independent cause: `shared_mm` (n, 2, k) of k causes that move
+    all bolts, `own_mm` (stations, n, m) per axis of m causes that each bolt has for itself, the same draw at all
+    stations.
     """
 
     offsets_mm: Array
+    entering: NDArray[np.bool_]
+    lag_mm: Array
     growth_mm_per_k: Array
     jacobian: Array
-    rigid_covariance: Array
-    scatter_mm2: Array
+    shared_mm: Array
+    own_mm: Array
     clearance_mm: Array
+
+    def seated(self) -> Belief:
+        """The last station alone."""
+        return replace(self, offsets_mm=self.offsets_mm[-1:], entering=self.entering[-1:], own_mm=self.own_mm[-1:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,87 +75,78 @@ def forecast(
 
     Antithetic pairs; `generator` decides every number.
     """
-    half = samples // 2
-    count = len(belief.clearance_mm)
-
-    def both(*shape: int) -> Array:
-        """Standard normal numbers and their negatives; single precision is far finer than any probability here."""
-        draw = generator.standard_normal((half, *shape), dtype=np.float32)
-        return np.concatenate([draw, -draw])
-
-    rigid = both(3) @ _root(belief.rigid_covariance).T.astype(np.float32)
-    shared = np.concatenate([rigid, difference_k + sigma_k * both(1)], axis=1).astype(np.float32)
-    design = np.concatenate([belief.jacobian, belief.growth_mm_per_k[:, :, None]], axis=2)
-    common = (shared @ design.reshape(-1, 4).T.astype(np.float32)).reshape(-1, count, 2)
-    own = both(count, 2)
-    free = np.ones(len(own), dtype=bool)
-    total, worst = np.zeros(len(own)), np.zeros(len(own))
+    drawn = _Draws.of(belief, generator, samples // 2, difference_k, sigma_k)
     room = np.square(belief.clearance_mm).astype(np.float32)
-    for offsets, variance in zip(belief.offsets_mm, belief.scatter_mm2, strict=True):
-        there = own * np.sqrt(variance)[:, None].astype(np.float32)
-        there += common
-        there += offsets.astype(np.float32)
-        over = there[..., 0] ** 2 + there[..., 1] ** 2 > room
-        touched = np.flatnonzero(over.any(axis=1))
-        free[touched] = False
-        if len(touched):
-            # The distribution of the force needs no more than a few hundred contacts; they stand for the others.
-            chosen = touched[:: max(1, len(touched) // 512)]
-            axial = contact_forces(there[chosen].astype(np.float64), belief.jacobian, belief.clearance_mm, model)
-            place = np.minimum(np.searchsorted(chosen, touched), len(chosen) - 1)
-            total[touched] = np.maximum(total[touched], axial.sum(axis=1)[place])
-            worst[touched] = np.maximum(worst[touched], axial.max(axis=1)[place])
-    p = float(free.mean())
+    touches = np.zeros(len(drawn.common_mm), dtype=bool)
+    for station in range(len(belief.offsets_mm)):
+        touches |= (np.square(drawn.at(belief, station, slice(None))).sum(axis=2) > room).any(axis=1)
+    touched = np.flatnonzero(touches)
+    # The distribution of the force needs no more than a few hundred contacts; they stand for the others.
+    axial, peak = _forces(belief, drawn, touched[:: max(1, len(touched) // CONTACTS)], model)
+    p = 1.0 - len(touched) / len(touches)
+    within = float(np.mean(peak <= force_limit_n)) if len(peak) else 1.0
     return InsertForecast(
         p_free=p,
-        p_force_ok=float(np.mean(total <= force_limit_n)),
-        peak_force_n=float(np.quantile(total, 0.95)),
-        peak_bolt_n=float(np.quantile(worst, 0.95)),
-        sigma_p=float(np.sqrt(max(p * (1 - p), 1.0 / len(own)) / len(own))),
+        p_force_ok=p + (1.0 - p) * within,
+        peak_force_n=_quantile(peak, 0.95, p),
+        peak_bolt_n=_quantile(axial.max(axis=1, initial=0.0), 0.95, p),
+        sigma_p=float(np.sqrt(max(p * (1 - p), 1.0 / len(touches)) / len(touches))),
     )
 
 
-def contact_forces(offsets_mm: Array, jacobian: Array, clearance_mm: Array, model: ContactModel) -> Array:
-    """Axial force (samples, n) in newton on each stud once the shaft has floated to its equilibrium.
+@dataclass(frozen=True, slots=True)
+class _Draws:
+    """What bolts may be: the part of their offsets (samples, n, 2) that all share, and standard normal numbers
+    (samples, n, 2) for each cause of their own. Single precision is far finer than any probability here."""
 
-    The float v (x, y, turn) minimises half the energy of the shaft's lateral spring plus that of every overlapping
-    stud, a convex problem; semi-smooth Newton with step control, all samples at once.
-    """
-    arm2 = float(np.mean(np.sum(jacobian[:, :, 2] ** 2, axis=1)))
-    spring = model.lateral_n_per_mm * np.diag([1.0, 1.0, arm2])
-    ks = model.stud_n_per_mm
-    v = np.zeros((len(offsets_mm), 3))
+    common_mm: NDArray[np.float32]
+    own: tuple[NDArray[np.float32], ...]
 
-    def state(at: Array) -> tuple[Array, Array, Array, Array]:
-        e = offsets_mm + np.einsum("iak,sk->sia", jacobian, at)
-        r = np.maximum(np.linalg.norm(e, axis=2), 1e-12)
-        overlap = np.maximum(r - clearance_mm, 0.0)
-        energy = 0.5 * np.einsum("sk,kl,sl->s", at, spring, at) + 0.5 * ks * np.sum(overlap**2, axis=1)
-        return np.asarray(energy), e / r[:, :, None], r, overlap
+    @classmethod
+    def of(
+        cls, belief: Belief, generator: np.random.Generator, half: int, difference_k: float, sigma_k: float
+    ) -> _Draws:
+        """`half` draws and their negatives; the temperature difference is the last of the shared causes."""
+        count = len(belief.clearance_mm)
 
-    energy, unit, r, overlap = state(v)
-    for _ in range(25):
-        rows = np.einsum("sia,iak->sik", unit, jacobian)
-        gradient = v @ spring + ks * np.einsum("si,sik->sk", overlap, rows)
-        active = (overlap > 0).astype(np.float64)
-        bend = active * overlap / r
-        hessian = spring + ks * (
-            np.einsum("si,sik,sil->skl", active - bend, rows, rows)
-            + np.einsum("si,iak,ial->skl", bend, jacobian, jacobian)
-        )
-        step = -np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
-        length = np.ones(len(v))
-        for _ in range(6):
-            trial = state(v + length[:, None] * step)
-            worse = trial[0] > energy
-            if not worse.any():
-                break
-            length = np.where(worse, 0.5 * length, length)
-        v = v + length[:, None] * step
-        energy, unit, r, overlap = state(v)
-        if float(np.max(np.abs(step) * np.sqrt(np.diag(spring)))) < 1e-5 * np.sqrt(model.lateral_n_per_mm):
-            break
-    return np.asarray(ks * overlap * model.axial_per_lateral)
+        def both(*shape: int) -> NDArray[np.float32]:
+            draw = generator.standard_normal((half, *shape), dtype=np.float32)
+            return np.concatenate([draw, -draw])
+
+        causes = np.concatenate([belief.shared_mm, belief.growth_mm_per_k[:, :, None]], axis=2)
+        shared = both(causes.shape[2])
+        shared[:, -1] = difference_k + sigma_k * shared[:, -1]
+        common = shared @ causes.reshape(2 * count, -1).T.astype(np.float32)
+        own = tuple(both(count, 2) for _ in range(belief.own_mm.shape[2]))
+        return cls(common.reshape(-1, count, 2), own)
+
+    def at(self, belief: Belief, station: int, rows: NDArray[np.intp] | slice) -> NDArray[np.float32]:
+        """Offsets (rows, n, 2) of some samples at a station."""
+        offsets = self.common_mm[rows] + belief.offsets_mm[station].astype(np.float32)
+        for draw, sigma in zip(self.own, belief.own_mm[station].T.astype(np.float32), strict=True):
+            offsets += draw[rows] * sigma[:, None]
+        return np.asarray(offsets)
+
+
+def _forces(belief: Belief, drawn: _Draws, chosen: NDArray[np.intp], model: ContactModel) -> tuple[Array, Array]:
+    """Peak axial force (m, n) on each stud and (m,) of all together over the way in, for the chosen samples."""
+    axial, peak = np.zeros((len(chosen), len(belief.clearance_mm))), np.zeros(len(chosen))
+    for station, entering in enumerate(belief.entering if len(chosen) else ()):
+        offsets = drawn.at(belief, station, chosen).astype(np.float64)
+        if entering:
+            now, total = entry_forces(offsets, belief.jacobian, belief.clearance_mm, belief.lag_mm, model)
+        else:
+            now = model.friction * lateral_forces(offsets, belief.jacobian, belief.clearance_mm, model)
+            total = now.sum(axis=1)
+        axial, peak = np.maximum(axial, now), np.maximum(peak, total)
+    return axial, peak
+
+
+def _quantile(forces: Array, q: float, free: float) -> float:
+    """Quantile of a force that is 0 with the probability `free` and else one of `forces` (m,), all alike likely."""
+    if q <= free or not len(forces):
+        return 0.0
+    return float(np.quantile(forces, (q - free) / (1.0 - free)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,16 +200,15 @@ def temperature_window(
 
 
 def radial_sigma(belief: Belief) -> Array:
-    """One sigma (stations, n) in mm of each bolt's offset along its own direction, rigid part and scatter together."""
+    """One sigma (stations, n) in mm of each bolt's offset along its own direction, all causes together."""
     norm = np.linalg.norm(belief.offsets_mm, axis=2, keepdims=True)
     unit = np.where(norm > 1e-9, belief.offsets_mm / np.maximum(norm, 1e-9), np.sqrt(0.5))
-    rows = np.einsum("sia,iak->sik", unit, belief.jacobian)
-    rigid = np.einsum("sik,kl,sil->si", rows, belief.rigid_covariance, rows)
-    return np.asarray(np.sqrt(rigid + belief.scatter_mm2))
+    shared = np.einsum("sia,iak->sik", unit, belief.shared_mm)
+    return np.asarray(np.sqrt(np.sum(shared**2, axis=2) + np.sum(belief.own_mm**2, axis=2)))
 
 
-def _root(covariance: Array) -> Array:
-    """Square root of a covariance that may be singular, with a fixed choice of signs."""
+def root(covariance: Array) -> Array:
+    """Square root (k, k) of a covariance that may be singular, with a fixed choice of signs."""
     values, vectors = np.linalg.eigh(covariance)
     vectors = vectors * np.where(vectors[np.abs(vectors).argmax(axis=0), range(len(values))] < 0, -1.0, 1.0)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

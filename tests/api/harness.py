@@ -29,6 +29,7 @@ from cellctl.session import Outcome, RunEnd
 from cellctl.stamps import VirtualStamps
 from cellctl.states import Command, State
 from hal.clock import run_virtual
+from hal.jobs import InlineJobs
 from tests.doubles import DoubleCell, DoubleSession, five_phases
 
 ROOT = Path(__file__).parents[2]
@@ -147,6 +148,7 @@ def services_on(data: Path, wall_s: float) -> tuple[Services, DoubleCell, list[S
         metrics=Metrics(controller, events),
         not_ready=lambda: "",
         time_left_s=lambda snapshot: 60.0,
+        jobs=InlineJobs(),
         wall_s=wall_s,
     )
     return services, cell, sessions

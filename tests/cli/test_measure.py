@@ -60,6 +60,14 @@ def test_a_person_gets_lines(cloud: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "36 of 36 holes found" in capsys.readouterr().out
 
 
+def test_view_shows_the_cloud(cloud: Path, tmp_path: Path) -> None:
+    view = tmp_path / "view.html"
+    assert run("--recipe", str(RECIPE), "--shaft", str(cloud), "--view", str(view)) == 0
+    page = view.read_text(encoding="utf-8")
+    assert "all 36 holes found" in page and "shaft.npz" in page and "lpt_shaft_36 version 1" in page
+    assert run("--recipe", str(RECIPE), "--shaft", str(cloud), "--view", str(tmp_path / "none" / "view.html")) == 2
+
+
 def test_missing_features_have_nulls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     view = View(SHAFT, pose_above(350.0), pixels=450, missing=(3,))
     np.save(tmp_path / "a.npy", render(view, np.random.default_rng(2)))

@@ -117,7 +117,10 @@ def test_elements_beside_the_vertices_are_stepped_over() -> None:
         b"element face 1\nproperty list uchar int v\nend_header\n"
     )
     rows = struct.pack("<d", 1.0) + struct.pack("<Bfff", 9, 3.0, 2.0, 1.0) + struct.pack("<Bfff", 9, 6.0, 5.0, 4.0)
-    assert read_ply(header + rows + b"\x03").tolist() == [[1, 2, 3], [4, 5, 6]]
+    face = struct.pack("<Biii", 3, 0, 1, 1)
+    assert read_ply(header + rows + face).tolist() == [[1, 2, 3], [4, 5, 6]]
+    with pytest.raises(ValueError, match="face element ends after the file"):
+        read_ply(header + rows + face[:-1])
 
 
 def test_organised_pcd_keeps_its_grid() -> None:

@@ -40,10 +40,13 @@ def measured(name: str, part: Part) -> PartMeasurement:
 def test_five_holes_on_fifty_millimetres(variant: str) -> None:
     part = VARIANTS[variant]
     first, fourth = measured("01_tool_valid.ply", part), measured("04_tool_valid.ply", part)
-    for scan in (first, fourth, measured("flange_franka.pcd", part)):
+    drawing = measured("flange_franka.pcd", part)
+    for scan in (first, fourth, drawing):
         assert scan.found == 5 and not scan.clocking_free
         assert abs(scan.circle_diameter_mm - 50.0) < 0.15
+    for scan in (first, fourth):
         assert scan.face.normal @ scan.face.point_mm < 0.0  # towards the scanner at the origin
+    assert drawing.face.normal[2] > 0.9999  # the body lies below its face at z = 3
     turned = first.T_frame_part[:3, :3].T @ fourth.T_frame_part[:3, 0]
     assert abs(np.degrees(np.arctan2(turned[1], turned[0]))) < 0.15
 
@@ -74,4 +77,5 @@ def test_command_on_a_scan(capsys: pytest.CaptureFixture[str], tmp_path: Path) -
     document = json.loads(capsys.readouterr().out)
     assert document["frame"] == "input"
     assert [feature["found"] for feature in document["shaft"]["features"]] == [True] * 5
-    assert "<svg" in view.read_text()
+    page = view.read_text(encoding="utf-8")
+    assert "all 5 holes found" in page and "01_tool_valid.ply" in page

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cellctl.vision.columns import Columns
 from cellctl.vision.part import Refused
 from cellctl.vision.plane import Plane, find_planes, fit_face, refit
 from tests.vision.fit.reference import Array, orientation
@@ -20,7 +21,7 @@ def test_two_planes_come_largest_first_and_strays_are_no_third() -> None:
     rng = np.random.default_rng(1)
     cloud = np.vstack([patch(rng, 6000), patch(rng, 3000, height=-5.0), rng.uniform(-120, 120, (900, 3))])
     turn = orientation(rng)
-    planes = find_planes(cloud @ turn.T, np.random.default_rng(0))
+    planes = tuple(find_planes(cloud @ turn.T, np.random.default_rng(0)))
     assert len(planes) == 2
     assert planes[0].points > planes[1].points
     assert abs(planes[0].normal @ turn[:, 2]) > 0.999999
@@ -33,7 +34,7 @@ def test_two_planes_come_largest_first_and_strays_are_no_third() -> None:
 
 def test_same_seed_same_planes() -> None:
     cloud = np.vstack([patch(np.random.default_rng(2), 4000), np.random.default_rng(3).uniform(-120, 120, (2000, 3))])
-    first, second = (find_planes(cloud, np.random.default_rng(5))[0] for _ in range(2))
+    first, second = (next(find_planes(cloud, np.random.default_rng(5))) for _ in range(2))
     assert np.array_equal(first.normal, second.normal) and first.distance_mm == second.distance_mm
 
 
@@ -46,7 +47,7 @@ def test_normal_meets_the_bound(sigma: float) -> None:
         cloud = np.vstack([patch(rng, 4000, sigma=sigma), rng.uniform(-100, 100, (120, 3))])
         start = Plane(np.array([0.002, 0.001, 1.0]) / np.linalg.norm([0.002, 0.001, 1.0]), 0.05, 0.03, 4000)
         plane = refit(cloud, start, 0.15)
-        face = fit_face(cloud[np.abs(plane.residuals(cloud)) < 8 * plane.sigma_mm], plane, EYE)
+        face = fit_face(Columns.of(cloud[np.abs(plane.residuals(cloud)) < 8 * plane.sigma_mm]), plane, EYE)
         tilts.append(face.normal[:2])
         heights.append(face.point_mm @ face.normal)
         sigmas.append(np.sqrt(face.covariance[1, 1]))
@@ -60,7 +61,7 @@ def test_normal_points_to_the_eye_and_tilts_are_right_handed() -> None:
     rng = np.random.default_rng(9)
     cloud = patch(rng, 3000)
     for eye in (EYE, -EYE):
-        face = fit_face(cloud, refit(cloud, Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0), 0.15), eye)
+        face = fit_face(Columns.of(cloud), refit(cloud, Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0), 0.15), eye)
         assert face.normal @ eye > 0
         assert np.allclose(np.cross(face.tilt_axes[0], face.tilt_axes[1]), face.normal)
 
@@ -69,10 +70,10 @@ def test_flatness_sees_a_bow_and_forgives_noise() -> None:
     rng = np.random.default_rng(10)
     cloud = patch(rng, 60_000)
     start = Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0)
-    assert fit_face(cloud, start, EYE).flatness_mm < 0.02
+    assert fit_face(Columns.of(cloud), start, EYE).flatness_mm < 0.02
     bowed = cloud.copy()
     bowed[:, 2] += 0.15 * (cloud[:, 0] / 120) ** 2
-    assert fit_face(bowed, start, EYE).flatness_mm == pytest.approx(0.15, abs=0.04)
+    assert fit_face(Columns.of(bowed), start, EYE).flatness_mm == pytest.approx(0.15, abs=0.04)
 
 
 def test_correlated_noise_widens_the_covariance() -> None:
@@ -83,11 +84,14 @@ def test_correlated_noise_widens_the_covariance() -> None:
     start = Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0)
     white = np.column_stack([u.ravel(), v.ravel(), rng.normal(0.0, 0.03, u.size)])
     shared = np.column_stack([u.ravel(), v.ravel(), spread.ravel()])
-    ratio = fit_face(shared, start, EYE).covariance[0, 0] / fit_face(white, start, EYE).covariance[0, 0]
+    ratio = (
+        fit_face(Columns.of(shared), start, EYE).covariance[0, 0]
+        / fit_face(Columns.of(white), start, EYE).covariance[0, 0]
+    )
     assert 7.0 < ratio < 11.5  # nine pixels share one value
 
 
 def test_too_little_of_a_face_is_refused() -> None:
     rng = np.random.default_rng(12)
     with pytest.raises(Refused, match="face_not_found"):
-        fit_face(patch(rng, 30), Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0), EYE)
+        fit_face(Columns.of(patch(rng, 30)), Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0), EYE)

@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from cellctl.vision.measure import measure_part
-from cellctl.vision.shared_noise import SharedNoise, correlated, estimate, field_basis
+from cellctl.vision.shared_noise import SharedNoise, correlated, estimate
 from tests.vision.parts import SHAFT
 from tests.vision.synthetic import render
 from tests.vision.test_holes import centre_errors, view_of
@@ -53,14 +53,6 @@ def test_correlated_is_the_dense_product() -> None:
     dense = 0.8 * np.exp(-distance2 / 2.7**2) + 0.2 * np.eye(len(pixels))
     columns = rng.standard_normal((len(pixels), 4))
     assert np.allclose(correlated(columns, pixels, noise), dense @ columns)
-
-
-def test_basis_has_the_correlation() -> None:
-    pixels = np.argwhere(np.ones((16, 16))).astype(float)
-    basis = field_basis(pixels, SharedNoise(3.0, 1.0))
-    distance2 = ((pixels[:, None] - pixels[None]) ** 2).sum(axis=2)
-    assert np.abs(basis @ basis.T - np.exp(-distance2 / 9.0)).max() < 0.09
-    assert basis.shape[1] < len(pixels)
 
 
 def test_holes_under_shared_noise() -> None:

@@ -15,7 +15,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Bolt:
-    """True sizes, millimetres; hand +1 right, -1 left; `root_mm` and `tip_mm` are radii."""
+    """True sizes, millimetres; hand +1 right, -1 left.
+
+    Profile of ISO 68-1 unless `crest` (share of the pitch that is flat), `round_mm` (how far the crest's corners are
+    rounded) or `depth` (in pitches) say otherwise. The lead-in falls by `fall` per mm, down to the root at the tip;
+    `lead_in` moves it along the stud, and far enough away leaves a flat end at full size. `dome_mm` is the radius of a
+    round end, 0 for a flat one. Below `shank` the stud is plain.
+    """
 
     radius: float = 3.9863
     pitch: float = 1.0037
@@ -24,14 +30,26 @@ class Bolt:
     length: float = 32.0
     phase: float = 0.3
     depth: float = 0.613
+    crest: float = 0.125
+    round_mm: float = 0.0
+    fall: float = 1.0
+    lead_in: float = 0.0
+    dome_mm: float = 0.0
+    shank: float = -1.0
 
     def height(self, p: Array) -> Array:
         """Positive outside, along the radius."""
         x, y, s = p.T
         turns = (s - self.phase) / self.pitch - self.hand * self.starts * np.arctan2(y, x) / (2 * np.pi)
-        off = np.abs(turns - np.round(turns)) * self.pitch
-        thread = self.radius - np.clip((off - self.pitch / 16) * np.sqrt(3), 0, self.depth * self.pitch)
-        return np.hypot(x, y) - np.minimum(thread, self.radius - self.depth * self.pitch + self.length - s)
+        deep = ((np.abs(turns - np.round(turns)) - 0.5 * self.crest) * self.pitch) * np.sqrt(3)
+        if self.round_mm:
+            deep = np.where(np.abs(deep) < self.round_mm, (deep + self.round_mm) ** 2 / (4 * self.round_mm), deep)
+        thread = np.where(s < self.shank, self.radius, self.radius - np.clip(deep, 0, self.depth * self.pitch))
+        end = self.radius - self.depth * self.pitch + self.fall * (self.length - s + self.lead_in)
+        if self.dome_mm:
+            above = np.maximum(s - (self.length - self.dome_mm), 0.0)
+            end = np.minimum(end, np.sqrt(np.maximum(self.dome_mm**2 - above**2, 0.0)))
+        return np.hypot(x, y) - np.minimum(thread, end)
 
 
 def hit(bolt: Bolt, eye: Array, rays: Array, step: float = 0.04) -> Array:

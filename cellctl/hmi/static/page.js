@@ -97,6 +97,13 @@ async function showRun(cell) {
   by("verdict").textContent = run.verdict ? `${run.verdict}${run.sealed ? ", sealed" : ""}` : "";
   by("verdict").className = run.verdict === "accepted" ? "" : "abnormal";
   by("reasons").replaceChildren(...run.reasons.map((reason) => listed(reason, "")));
+  if (run.verdict) showScans((await api.get(`/runs/${cell.run_id}/scans`)).items.filter((scan) => scan.measured));
+}
+
+function showScans(measured) {
+  const kept = measured.some((scan) => scan.kept);
+  by("scans").hidden = !kept;
+  by("scans-told").textContent = kept || !measured.length ? "" : "its scans are not kept";
 }
 
 async function truth() {
@@ -188,6 +195,7 @@ document.addEventListener("click", async (event) => {
 
 async function open(kind, name) {
   const answer = await api.ask(`/runs/${shownRun}/${kind}`);
+  by("refused").textContent = "";
   if (!answer.ok) {
     by("refused").textContent = (await answer.json()).detail;
     return;
@@ -201,5 +209,12 @@ async function open(kind, name) {
 
 by("report").addEventListener("click", () => open("report", ".html"));
 by("record").addEventListener("click", () => open("record", ".zip"));
+by("scans").addEventListener("click", async () => {
+  by("scans").disabled = true;
+  by("scans-told").textContent = "the page is being made";
+  await open("scans/page", "-scans.html").catch((error) => { by("refused").textContent = `no page: ${error.message}`; });
+  by("scans").disabled = false;
+  by("scans-told").textContent = "";
+});
 
 begin();

@@ -1,0 +1,1 @@
+"""The page that shows measured parts: cloud, fitted face, features and residuals. Pure: text out, nothing loaded."""

@@ -1,0 +1,77 @@
+"""What speaks against this being the part of the recipe: sizes, places, a face closed where a feature should be.
+
+One feature may be wrong on a right part and is reported; where more than a quarter are, the part is another one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellctl.vision.columns import Columns
+from cellctl.vision.geometry import Array, PlaneFrame
+from cellctl.vision.part import FeatureFit, Part, Refused
+
+TOO_MANY = 0.25
+SAMPLE = 100_000
+
+
+def check_hole_sizes(part: Part, radii_mm: Array, sigma_mm: float) -> None:
+    """Refuse (wrong_part) holes whose walls (n,), NaN where not seen, are not as wide as drawn.
+
+    A drilled hole is held to about ISO 286 H13: 0.15 mm and a hundredth of its diameter.
+    """
+    if part.diameter_mm is None or not np.isfinite(radii_mm).any():
+        return
+    drawn, seen = np.asarray(part.diameter_mm), np.isfinite(radii_mm)
+    wrong = np.abs(2.0 * radii_mm - drawn) > 0.15 + 0.01 * drawn + 2.0 * sigma_mm
+    if np.count_nonzero(wrong) > TOO_MANY * np.count_nonzero(seen):
+        k = int(np.flatnonzero(wrong)[0])
+        raise Refused(
+            "wrong_part",
+            f"{np.count_nonzero(wrong)} of {np.count_nonzero(seen)} holes have another size: number {k} measures "
+            f"{2.0 * radii_mm[k]:.2f} mm across, the recipe says {drawn[k]:.2f} mm",
+        )
+
+
+def check_outlines(part: Part, features: tuple[FeatureFit, ...]) -> None:
+    """Refuse (wrong_part) holes that are far from any size a core, a thread or a chamfered mouth would show."""
+    if part.diameter_mm is None:
+        return
+    ratios = np.array([2.0 * f.radius_mm / part.diameter_mm[f.index] for f in features if f.radius_mm is not None])
+    if len(ratios) and np.mean((ratios < 0.65) | (ratios > 1.45)) > TOO_MANY:
+        raise Refused("wrong_part", f"the holes are {np.median(ratios):.2f} times as wide as the recipe says")
+
+
+def off_place_mm(part: Part) -> float:
+    """How far from its drawn place a feature may lie on a right part: beyond any positional tolerance of a joint."""
+    return 0.4 + 5e-4 * part.circle_diameter_mm
+
+
+def check_off_place(part: Part, strays: int) -> None:
+    """Refuse (wrong_part) where too many features lie off their places."""
+    if strays > TOO_MANY * part.count:
+        raise Refused("wrong_part", f"{strays} of {part.count} features lie more than {off_place_mm(part):.2f} mm off")
+
+
+def many_missing(part: Part, features: tuple[FeatureFit, ...]) -> bool:
+    """Whether so many features are missing that the part may be another one."""
+    return sum(not feature.found for feature in features) > TOO_MANY * part.count
+
+
+def check_closed(part: Part, features: tuple[FeatureFit, ...], scan: Columns, frame: PlaneFrame, radii_mm: Array,
+                 sigma_mm: float, spacing_mm: float) -> None:  # fmt: skip
+    """Refuse (wrong_part) where the bare face is seen at the places of too many features that were not found.
+
+    `frame` is the part's, `radii_mm` (n,) are those of the features at the face.
+    """
+    step = max(1, len(scan) // SAMPLE)
+    some = scan.take(slice(None, None, step)).into(frame)
+    some = some.take(np.abs(some.z) < 5.0 * sigma_mm)
+    closed = 0
+    for k in (feature.index for feature in features if not feature.found):
+        angle, reach = np.radians(part.angles_deg[k]), 0.6 * float(radii_mm[k])
+        u, v = 0.5 * part.circle_diameter_mm * np.array([np.cos(angle), np.sin(angle)])
+        inside = int(np.count_nonzero(np.hypot(some.x - u, some.y - v) < reach))
+        closed += inside >= max(2.0, 0.5 * np.pi * reach**2 / (step * spacing_mm**2))
+    if closed > TOO_MANY * part.count:
+        raise Refused("wrong_part", f"the face is closed at the places of {closed} of {part.count} features")

@@ -1,0 +1,111 @@
+"""The rims of all chamfered holes at once: whether each is there, about where, and how much of it was seen.
+
+A rim is limited by the sampling; it only says what the model of chamfer and wall may start from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellctl.vision.geometry import Array
+
+TUKEY = 6.0
+"""An edge scatters with long tails that still carry its place: cut later than where noise is normal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rims:
+    """Circles through the innermost face points of each sector: `centre_mm` (K, 2) from the nominal places, `radius_mm`
+    (K,), `scatter_mm` (K,) of the edge, and how the rim looks.
+
+    `arc` (K,) is the share of the sectors that show an edge near the circle, `fill` (K,) the share of the disk inside
+    that face points cover; all NaN where next to no edge was seen.
+    """
+
+    centre_mm: Array
+    radius_mm: Array
+    scatter_mm: Array
+    arc: Array
+    fill: Array
+
+
+def look(uv: Array, owner: NDArray[np.intp], radii_mm: Array, spacing_mm: float) -> Rims:
+    """From face points (M, 2) about their nominal centres, hole number (M,) of each, and the rims' radii (K,)."""
+    count = len(radii_mm)
+    sectors = int(np.clip(2.0 * np.pi * float(np.median(radii_mm)) / (1.1 * spacing_mm), 12, 180))
+    centre, radius = np.zeros((count, 2)), radii_mm.astype(np.float64)
+    scatter, kept = np.full(count, np.nan), np.zeros((count, sectors), dtype=np.bool_)
+    for _ in range(2):
+        edge, direction = _edges(uv, owner, centre, radius, sectors)
+        shift, radius, scatter, kept = _circles(edge, direction, radius, spacing_mm)
+        centre = centre + shift
+    rho2 = np.square(uv - centre[owner]).sum(axis=1)
+    inside = np.bincount(owner[rho2 < np.square(0.8 * radius)[owner]], minlength=count)
+    seen = kept.sum(axis=1) >= max(8, sectors // 4)
+    whole = np.where(seen, 1.0, np.nan)
+    expected = np.maximum(np.pi * np.square(0.8 * radius) / spacing_mm**2, 1.0)
+    return Rims(
+        centre_mm=centre * whole[:, None],
+        radius_mm=(radius - 0.5 * spacing_mm) * whole,  # the innermost point stands off by half a spacing on average
+        scatter_mm=scatter,
+        arc=np.mean(kept, axis=1) * whole,
+        fill=inside / expected,
+    )
+
+
+def _edges(uv: Array, owner: NDArray[np.intp], centre: Array, radius: Array, sectors: int) -> tuple[Array, Array]:
+    """Distance (K, S) of the innermost face point of every sector, infinite where there is none, and the direction
+    (2, K, S) to it."""
+    u, v = (uv - centre[owner]).T
+    rho = np.hypot(u, v)
+    near = (rho > 0.6 * radius[owner]) & (rho < 1.45 * radius[owner])
+    sector = ((np.arctan2(v[near], u[near]) / (2.0 * np.pi) + 0.5) * sectors).astype(np.intp) % sectors
+    place = owner[near] * sectors + sector
+    edge = np.full(len(radius) * sectors, np.inf)
+    np.minimum.at(edge, place, rho[near])
+    innermost = rho[near] == edge[place]
+    rows = np.flatnonzero(near)[innermost]
+    direction = np.zeros((2, len(edge)))
+    direction[:, place[innermost]] = np.stack([u[rows], v[rows]]) / rho[rows]
+    return edge.reshape(-1, sectors), direction.reshape(2, -1, sectors)
+
+
+def _circles(
+    edge: Array, direction: Array, radius: Array, spacing_mm: float
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Robust circles: shift of the centres (K, 2), radii (K,), scatter (K,), sectors (K, S) that lie on them."""
+    there = np.isfinite(edge)
+    design = np.stack([direction[0], direction[1], np.ones(edge.shape)])
+    answer = np.concatenate([np.zeros((len(radius), 2)), radius[:, None]], axis=1)
+    scatter = np.full(len(radius), np.nan)
+    weights = there.astype(np.float64)
+    for _ in range(6):
+        miss = np.where(there, edge - np.einsum("kp,pks->ks", answer, design), np.nan)
+        with np.errstate(all="ignore"):
+            middle = _median(np.abs(miss))
+        scatter = np.maximum(1.4826 * np.nan_to_num(middle, nan=spacing_mm), 0.05 * spacing_mm)
+        ratio = np.nan_to_num(miss, nan=np.inf) / (TUKEY * scatter[:, None])
+        weights = np.where(np.abs(ratio) < 1.0, np.square(1.0 - np.minimum(np.square(ratio), 1.0)), 0.0)
+        normal = np.einsum("pks,ks,qks->kpq", design, weights, design) + 1e-9 * np.eye(3)
+        pull = np.einsum("pks,ks->kp", design, weights * np.nan_to_num(miss))
+        answer = answer + np.linalg.solve(normal, pull[:, :, None])[:, :, 0]
+    limit = 0.5 * radius[:, None]
+    return (
+        np.clip(answer[:, :2], -limit, limit),
+        np.clip(answer[:, 2], 0.5 * radius, 2.0 * radius),
+        scatter,
+        weights > 0,
+    )
+
+
+def _median(values: Array) -> Array:
+    """Median (K,) over the finite values (K, S) of each row, NaN where there are none."""
+    ordered = np.sort(values, axis=1)  # NaN come last
+    counts = np.isfinite(values).sum(axis=1)
+    rows = np.arange(len(values))
+    return np.asarray(
+        0.5 * (ordered[rows, np.maximum(counts - 1, 0) // 2] + ordered[rows, counts // 2 % values.shape[1]])
+    )

@@ -1,0 +1,85 @@
+"""Rows of a least-squares problem freed from the noise that neighbouring pixels share.
+
+Every point keeps what the points before it in its neighbourhood do not already tell (Vecchia, J. R. Stat. Soc. B 50
+(1988) 297). On a grid the neighbourhood is one stencil; which of its places are filled is a pattern that many points
+share, so that few small systems are solved whatever the number of points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellctl.vision.geometry import Array
+
+Indices = NDArray[np.intp]
+PLACES = 14
+_BACK = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Stencil:
+    """`neighbours` (k, N) rows of the points before each (0 where there is none), their `shares` (k, N) in it, and the
+    standard deviation `spread` (N,) of what is left, in units of the whole noise."""
+
+    neighbours: Indices
+    shares: Array
+    spread: Array
+
+    @classmethod
+    def of(
+        cls, pixels: Indices, group: Indices, correlation: Callable[[Array], Array], *, places: int = PLACES
+    ) -> Stencil:
+        """For points at `pixels` (N, 2), all different, of one `group` (N,) each; groups do not speak for each other.
+
+        `correlation` maps squared distances in pixels (> 0) to the correlation of the noise there.
+        """
+        offsets = _offsets(places)
+        found = _neighbours(pixels, group, offsets)
+        there = found >= 0
+        pattern = (1 << np.arange(places)) @ there
+        kinds, kind = np.unique(pattern, return_inverse=True)
+        filled = (kinds[:, None] >> np.arange(places)) & 1 == 1
+        apart = np.square(offsets[:, None] - offsets[None]).sum(axis=2).astype(np.float64)
+        matrix = np.where(apart > 0, correlation(np.maximum(apart, 1.0)), 0.0)
+        matrix = matrix * (filled[:, :, None] & filled[:, None]) + np.eye(places)
+        side = correlation(np.square(offsets).sum(axis=1).astype(np.float64)) * filled
+        shares = np.linalg.solve(matrix, side[:, :, None])[:, :, 0]
+        left = np.sqrt(np.maximum(1.0 - np.einsum("pk,pk->p", shares, side), 1e-6))
+        return cls(np.where(there, found, 0), shares.T[:, kind], left[kind])
+
+    def apply(self, rows: Array) -> Array:
+        """Independent rows (q, N) of unit variance from correlated ones."""
+        told = np.zeros_like(rows)
+        for neighbour, share in zip(self.neighbours, self.shares, strict=True):
+            told += share * rows[:, neighbour]
+        return np.asarray((rows - told) / self.spread)
+
+    def back(self, rows: Array) -> Array:
+        """The transpose of `apply`: how much each correlated point (q, N) weighs in sums over independent rows."""
+        scaled = rows / self.spread
+        result = scaled.copy()
+        for neighbour, share in zip(self.neighbours, self.shares, strict=True):
+            for row, values in zip(result, scaled, strict=True):
+                row -= np.bincount(neighbour, share * values, minlength=len(row))
+        return result
+
+
+def _offsets(places: int) -> Indices:
+    """The nearest places (k, 2) before a pixel in row order: rows above, and to the left in its own row."""
+    steps = [(-i, j) for i in range(_BACK + 1) for j in range(-_BACK, _BACK + 1) if i > 0 or j < 0]
+    return np.array(sorted(steps, key=lambda step: (step[0] ** 2 + step[1] ** 2, step))[:places], dtype=np.intp)
+
+
+def _neighbours(pixels: Indices, group: Indices, offsets: Indices) -> Indices:
+    """Row (k, N) of the point at each offset from every point, -1 where there is none of the same group."""
+    at = pixels - pixels.min(axis=0) + _BACK
+    height, width = at.max(axis=0) + 1 + _BACK
+    table = np.full(height * width, -1, dtype=np.intp)
+    place = at[:, 0] * width + at[:, 1]
+    table[place] = np.arange(len(place))
+    found = table[place + (offsets[:, 0] * width + offsets[:, 1])[:, None]]
+    return np.where((found >= 0) & (group[found] == group), found, -1)

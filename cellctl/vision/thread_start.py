@@ -1,0 +1,197 @@
+"""The way to a fit of threaded studs from a poor start, on some of the points: searches, then robust rounds. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellctl.vision.thread_noise import SURELY_FLANK, NoiseLaw, learn, misfit, on_thread, scale_of, tukey
+from cellctl.vision.thread_normal import Normal, Priors
+from cellctl.vision.thread_surface import FLANK, PITCH, RADIUS, Array, Depths, Form, Rays, depths
+
+HELD_MM, HELD_ROUNDS = 1e-3, 4
+"""The shared sizes stay at their start until the studs stand: freed at once, they may run off with the phases."""
+ROUGH_POINTS, ROUGH_TOTAL = 110, 4000
+"""Points of a stud, and of all studs where these are few, that bring the fit near."""
+SEEKERS, SEEKERS_TOTAL = 36, 1200
+"""The same for searches."""
+RADIUS_CHANGES_MM = (0.0, -0.02, 0.02, -0.05, 0.05, -0.08, 0.08, -0.12, 0.12, -0.17)
+STILL_MM = 1e-3
+POOR_SHARE = 0.7
+"""A stud of whose points a smaller share fits is tried again from another phase."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where the fit begins: `own` (n, OWN), `shared` (SHARED,), what is known of them, and the thread's form.
+
+    `expected_mm` (n, 2) are the studs' nominal places, up to a motion of all together; None for a stud by itself.
+    """
+
+    own: Array
+    shared: Array
+    priors: Priors
+    form: Form
+    expected_mm: Array | None = None
+
+    def only(self, chosen: NDArray[np.bool_], shared: Array) -> Start:
+        """Some of the studs (n,), beside shared parameters at hand."""
+        form = replace(self.form, tip_mm=self.form.tip_mm[chosen], extra_mm=self.form.extra_mm[chosen])
+        return replace(self, own=self.own[chosen], shared=shared, form=form)
+
+
+def seekers(rays: Rays) -> Rays:
+    """As few points as a search needs."""
+    return rays.take(thinned(rays.stud, max(SEEKERS, SEEKERS_TOTAL // max(len(np.unique(rays.stud)), 1))))
+
+
+def near(rays: Rays, start: Start) -> tuple[Array, Array, NoiseLaw]:
+    """Own and shared parameters near the optimum, and the law of the noise, from some of the points."""
+    some = rays.take(thinned(rays.stud, max(ROUGH_POINTS, ROUGH_TOTAL // len(start.own))))
+    few = some.take(thinned(some.stud, max(ROUGH_POINTS // 2, ROUGH_TOTAL // 2 // len(start.own))))
+    own, shared, law = approach(few, start, start.own, start.shared, 0.25)
+    own, shared, law = _tried_again(some, start, own, shared, law)
+    own, shared, law = _other_radius(some, start, own, shared, law)
+    law = learn(depths(some, own, shared, start.form), law, shared)
+    own, shared, law = approach(some, start, own, shared, 0.0, law=law, rounds=3, held=0)
+    return _tried_again(some, start, own, shared, law)
+
+
+def thinned(stud: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Rows of at most about `most` evenly spread points of each stud; `stud` (N,) is sorted."""
+    counts = np.bincount(stud)
+    place = np.arange(len(stud)) - (np.cumsum(counts) - counts)[stud]
+    step = np.maximum(1, -(-counts // most))[stud]
+    return np.flatnonzero(place % step == 0)
+
+
+def approach(
+    rays: Rays, start: Start, own: Array, shared: Array, scale_mm: float, *, law: NoiseLaw | None = None,
+    rounds: int = 16, held: int = HELD_ROUNDS,
+) -> tuple[Array, Array, NoiseLaw]:  # fmt: skip
+    """Gauss-Newton with Tukey weights whose scale falls from `scale_mm` to what the residuals show."""
+    known, law = (start.own, start.shared), law or NoiseLaw(scale_mm, SURELY_FLANK * float(start.shared[PITCH]))
+    for turn in range(rounds):
+        met = depths(rays, own, shared, start.form)
+        law = scale_of(met, law, scale_mm * 0.5**turn if turn < 4 else 0.0)
+        priors = start.priors
+        if turn < held:
+            priors = replace(priors, shared=np.minimum(priors.shared, HELD_MM))
+        d_own, d_shared = _normal(met, law, rays.stud, len(own)).step((own, shared), known, priors)
+        own, shared = own + np.clip(d_own, -0.3, 0.3), shared + np.clip(d_shared, -0.1, 0.1)
+        if turn > held + 1 and float(np.abs(d_own[:, [0, 1, 4]]).max()) < STILL_MM:
+            break
+    return own, shared, law
+
+
+def _normal(met: Depths, law: NoiseLaw, stud: NDArray[np.intp], count: int) -> Normal:
+    weights, sigmas = tukey(met, law)
+    normal = Normal.empty(count)
+    normal.add(rows_of(met, sigmas), weights, stud)
+    return normal
+
+
+def rows_of(met: Depths, sigmas: Array) -> Array:
+    """Design and right-hand side (SIZE, N) in units of one sigma."""
+    return np.concatenate([met.slopes, -np.nan_to_num(met.ahead_mm)[None]]) / sigmas
+
+
+def _tried_again(rays: Rays, start: Start, own: Array, shared: Array, law: NoiseLaw) -> tuple[Array, Array, NoiseLaw]:
+    """Studs that do not fit, once more from other places and phases beside the sizes which the others found."""
+    misfits = _misfit(rays, own, shared, start.form, law)
+    poor = misfits > 1.0 - POOR_SHARE
+    if not poor.any() or not start.form.hand:
+        return own, shared, law
+    rows = np.flatnonzero(poor[rays.stud])
+    some = Rays(rays.points[:, rows], rays.directions[:, rows], (np.cumsum(poor) - 1)[rays.stud[rows]])
+    part = start.only(poor, shared)
+    best, least = own[poor], misfits[poor]
+    for places in _other_places(start, own, poor):
+        trial = part.own.copy()
+        trial[:, :2] = places
+        trial[:, 4] = best_phase(some, trial, shared, part.form, steps=32)
+        trial, _, _ = approach(some, part, trial, shared, 0.1, held=16)
+        misfit_now = _misfit(some, trial, shared, part.form, law)
+        best = np.where((misfit_now < least)[:, None], trial, best)
+        least = np.minimum(least, misfit_now)
+    own = own.copy()
+    own[poor] = best
+    return approach(rays, start, own, shared, 0.0, law=law, rounds=6, held=0)
+
+
+def _other_places(start: Start, own: Array, poor: NDArray[np.bool_]) -> list[Array]:
+    """Places (k, 2) at which the poor studs may stand: where they began, and where the others say that they are."""
+    places = [start.own[poor, :2]]
+    if start.expected_mm is not None and np.count_nonzero(~poor) >= 3:
+        # similarity z -> a z + b in the complex plane, least squares over the studs that fit
+        nominal = start.expected_mm[:, 0] + 1j * start.expected_mm[:, 1]
+        found = own[~poor, 0] + 1j * own[~poor, 1]
+        design = np.column_stack([nominal[~poor], np.ones(len(found))])
+        moved = np.column_stack([nominal, np.ones(len(nominal))]) @ np.linalg.lstsq(design, found, rcond=None)[0]
+        places.append(np.column_stack([moved.real, moved.imag])[poor])
+    return places
+
+
+def _other_radius(rays: Rays, start: Start, own: Array, shared: Array, law: NoiseLaw) -> tuple[Array, Array, NoiseLaw]:
+    """The radius that fits best while the upper flanks stay where they are.
+
+    Seen from above, a thread with too large a crest has its flanks in the right place and takes the crest's points for
+    outliers: from there no small step leads on.
+    """
+    if not start.form.hand:
+        return own, shared, law
+    some = seekers(rays)
+    losses = []
+    for change in RADIUS_CHANGES_MM:
+        met = depths(some, *_resized(own, shared, change), start.form)
+        losses.append(float(misfit(met, law).sum()))
+    change = RADIUS_CHANGES_MM[int(np.argmin(losses))]
+    if change == 0.0:
+        return own, shared, law
+    return approach(rays, start, *_resized(own, shared, change), 0.0, law=law, held=0)
+
+
+def _resized(own: Array, shared: Array, change_mm: float) -> tuple[Array, Array]:
+    """Other crest radius on the same upper flanks."""
+    own, shared = own.copy(), shared.copy()
+    shared[RADIUS] += change_mm
+    own[:, 4] -= change_mm / FLANK
+    return own, shared
+
+
+def _misfit(rays: Rays, own: Array, shared: Array, form: Form, law: NoiseLaw) -> Array:
+    """Share (n,) of each stud's points on thread and lead-in that do not fit."""
+    met = depths(rays, own, shared, form)
+    on, (weights, _) = on_thread(met, law.deepest_mm), tukey(met, law)
+    there = np.bincount(rays.stud[on], minlength=len(own))
+    return np.asarray(np.bincount(rays.stud[on & (weights == 0.0)], minlength=len(own)) / np.maximum(there, 1))
+
+
+def best_phase(rays: Rays, own: Array, shared: Array, form: Form, *, steps: int = 16) -> Array:
+    """Phase (n,) in mm that fits each stud best among `steps` over one pitch, by a bounded cost."""
+    phases = own[:, 4] + shared[PITCH] * np.arange(steps)[:, None] / steps
+    costs = []
+    for phase in phases:
+        trial = own.copy()
+        trial[:, 4] = phase
+        costs.append(_cost(rays, trial, shared, form))
+    return np.asarray(phases[np.argmin(costs, axis=0), np.arange(len(own))])
+
+
+def best_lead_in(rays: Rays, own: Array, shared: Array, form: Form, depths_mm: Array) -> float:
+    """How far below the tip the lead-in begins, among `depths_mm`: the same for all studs."""
+    costs = []
+    for depth in depths_mm:
+        trial = own.copy()
+        trial[:, 5] = form.tip_mm - depth
+        costs.append(float(_cost(rays, trial, shared, form).sum()))
+    return float(depths_mm[int(np.argmin(costs))])
+
+
+def _cost(rays: Rays, own: Array, shared: Array, form: Form) -> Array:
+    """Bounded misses across the surface, summed over the points of each stud (n,)."""
+    met = depths(rays, own, shared, form)
+    miss = np.minimum(np.abs(np.nan_to_num(met.ahead_mm, nan=9.0)) * met.cosine, 0.3)
+    return np.bincount(rays.stud, np.where(on_thread(met, np.inf), miss, 0.3), len(own)).astype(np.float64)
