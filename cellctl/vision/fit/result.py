@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 
 SMALLEST_MM = 1e-9
 GREATEST_MM = 1e9
+FARTHEST = 1e9
+"""From the origin, in extents of the points: beyond it float64 keeps seven digits of them."""
 
 
 class FitError(ValueError):
@@ -60,13 +62,14 @@ def checked(points_mm: NDArray[np.floating], least: int, dimensions: int = 2) ->
         raise FitError("points are not finite")
     if len(points) < least:
         raise FitError(f"{len(points)} points, at least {least} are needed")
-    extent, reach = float(np.ptp(points, axis=0).max()), float(np.abs(points).max())
+    reach = float(np.abs(points).max())
+    extent = float(np.ptp(points / reach, axis=0).max()) * reach if reach > 0.0 else 0.0
     if extent == 0.0:
         raise FitError("all points are in one place")
-    if not SMALLEST_MM < extent < GREATEST_MM or reach > 1e9 * extent:
+    if not SMALLEST_MM < extent < GREATEST_MM or reach > FARTHEST * extent:
         raise FitError(
             f"points spread over {extent:.3g} mm at up to {reach:.3g} mm from the origin: {SMALLEST_MM:g} to "
-            f"{GREATEST_MM:g} mm and at least a billionth of the distance are needed"
+            f"{GREATEST_MM:g} mm and at least 1/{FARTHEST:g} of the distance are needed"
         )
     spread = principal(points)[1]
     if dimensions > 1 and spread[1] <= 1e-9 * spread[2]:

@@ -141,6 +141,9 @@ def upright(shape: Shape, frames: Array, x: Array) -> tuple[Array, Array]:
     x = np.column_stack([points[:, :2], nothing, nothing, x[:, 4:]])
     if shape.name == "circle":
         x[:, 4] = points[:, 2]
-    elif shape.name == "cone":  # its distance is that at height zero
+    elif shape.name == "cone":  # its distance is that at height zero; half a turn on is the same cone inside out
         x[:, 4] -= points[:, 2] * np.sin(x[:, 5])
+        half_turns = np.round(x[:, 5] / np.pi)
+        x[:, 4] *= np.cos(np.pi * half_turns)
+        x[:, 5] -= np.pi * half_turns
     return turned, x

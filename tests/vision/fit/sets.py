@@ -136,7 +136,7 @@ def round_about(kind: str, part: str, pattern: str, rng: np.random.Generator) ->
         return Shape(radius * out, out, angle, along, rise, radius)
     slender = {"short": (0.05, 0.3), "patch": (0.05, 0.3), "long": (2.0, 10.0)}.get(part, (0.3, 2.0))
     length = min(log_uniform(rng, *slender) * radius, 280.0)
-    degrees = {"sharp": (0.2, 3.0), "flat": (70.0, 87.0)}.get(part, (3.0, 60.0))
+    degrees = {"sharp": (0.1, 3.0), "flat": (70.0, 89.0)}.get(part, (3.0, 60.0))
     half = np.radians(log_uniform(rng, *degrees)) if kind == "cone" else 0.0
     # from small end to large end along the generator, never beyond the apex
     reach = 0.9 * radius / np.sin(half) if half > 0.0 else np.inf

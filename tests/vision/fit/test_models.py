@@ -49,3 +49,13 @@ def test_an_element_in_its_upright_frame_is_the_same(shape: Shape) -> None:
     after = shape.model(points @ np.swapaxes(turned, 1, 2), y)[0]
     assert after == pytest.approx(before, abs=1e-12)
     assert np.all(y[:, 2:4] == 0.0)
+
+
+def test_a_cone_turned_inside_out_is_told_as_the_usual_one() -> None:
+    points, x = elements(CONE, np.random.default_rng(3), 4)
+    frames = np.broadcast_to(np.eye(3), (4, 3, 3))
+    inside_out = x * [1.0, 1.0, 0.0, 0.0, -1.0, 1.0] + [0.0, 0.0, 0.0, 0.0, 0.0, np.pi]
+    turned, y = upright(CONE, frames, inside_out)
+    assert np.all(np.abs(y[:, 5]) <= 0.5 * np.pi)
+    before = CONE.model(points, inside_out)[0]
+    assert CONE.model(points @ np.swapaxes(turned, 1, 2), y)[0] == pytest.approx(-before, abs=1e-12)

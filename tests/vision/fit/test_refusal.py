@@ -32,6 +32,7 @@ BALL = RNG.standard_normal((20, 3))
         (np.ones((9, 3)), "in one place"),
         (1e200 * BALL, "spread over"),
         (1e-200 * BALL, "spread over"),
+        (np.vstack([BALL, [1.7e308, 0.0, 0.0], [-1.7e308, 0.0, 0.0]]), "spread over"),
         (BALL + 1e12, "spread over"),
         ([["a", "b", "c"]] * 9, "not numbers"),
         ([[1.0, 2.0, 3.0], [4.0]], "not numbers"),
