@@ -141,11 +141,19 @@ def _regrouped(
 
     Plainly: many of its edges lie on that other circle, and by far more than on its group's.
     """
-    shift = np.array([float(np.median(row[np.isfinite(row)])) if np.isfinite(row).any() else 0.0 for row in edge])
+    shift = _medians(edge)
     own, shared = (np.count_nonzero(np.abs(edge - of) < scatter_mm, axis=1) for of in (shift[:, None], 0.0))
-    other = (np.abs(shift) > LOOKS_ALIKE * radius) & (own > 0.4 * edge.shape[1]) & (own > 2 * shared)
+    other = (np.abs(shift) > LOOKS_ALIKE * radius) & (own > 0.4 * edge.shape[1]) & (own > 3 * shared)
     alone = np.arange(len(group)) + len(group)
     return np.where(other, alone, group).astype(np.intp), np.where(other, radius + shift, radius)
+
+
+def _medians(rows: Array) -> Array:
+    """Median (n,) of the finite values in each row (n, S), the lower one of two; 0 where there is none."""
+    count = np.isfinite(rows).sum(axis=1)
+    ordered = np.sort(rows, axis=1)  # NaN come last
+    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
+    return np.where(count > 0, middle, 0.0)
 
 
 def _edges(offset: Array, owner: NDArray[np.intp], radius: Array, sectors: int, spacing_mm: float) -> Array:
@@ -182,8 +190,7 @@ def _step(edge: Array, ways: Array, group: NDArray[np.intp], pull_mm: Array, spa
     """
     seen = np.isfinite(edge)
     value = np.where(seen, edge, 0.0)
-    middle = [float(np.median(np.abs(row[own]))) if own.any() else 0.0 for row, own in zip(value, seen, strict=True)]
-    scatter = np.maximum(1.4826 * np.array(middle), LEAST_SCATTER * spacing_mm)
+    scatter = np.maximum(1.4826 * _medians(np.abs(edge)), LEAST_SCATTER * spacing_mm)
     ratio = value / (TUKEY * np.minimum(scatter, usual * float(np.median(scatter)))[:, None])
     used = seen & (np.abs(ratio) < 1.0)
     weight = np.where(used, (1.0 - ratio**2) ** 2, 0.0) / (WINDOW * INFLATION * scatter[:, None] ** 2)
