@@ -169,10 +169,10 @@ def _half_gap(centres: Array) -> float:
 
 def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float, least_arc: float) -> str:
     """Empty where the outline is that of a hole at its place, else why it is not."""
-    if outline is None:
-        return "no edge of the face was seen at the hole's place"
-    if outline.fill > MAX_FILL:
+    if outline is not None and outline.fill > MAX_FILL:
         return "the face is closed at the hole's place"
+    if outline is None or outline.arc == 0.0:
+        return "no edge of the face was seen at the hole's place"
     if outline.arc < least_arc:
         return f"only {100 * outline.arc:.0f} % of the outline was seen"
     if outline.points < MIN_EDGE_POINTS:

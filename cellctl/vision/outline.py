@@ -16,7 +16,8 @@ from cellctl.vision.geometry import Array
 from cellctl.vision.part import Part
 from cellctl.vision.pattern import fit_pattern, nominal
 
-ROUNDS, PROFILED, PLACED = 13, 4, 5  # from which round on there is a profile; the one that starts from the pattern
+ROUNDS = 13
+PROFILED, PLACED = 4, 5  # the first round with a profile, and the one that starts from the pattern's places
 WINDOW = 3  # sectors in which the innermost point is looked for: they overlap, so that their place does not matter
 WIDTH = 1.8  # of that window, in spacings
 REACH = 3.2  # how far outside the outline an edge point may lie, in spacings
@@ -25,8 +26,8 @@ BAND, MOST_BAND_MM = 2.5, 1.0  # height of what still belongs to the face at an 
 TUKEY = 3.5
 LEAST_SCATTER = 0.1  # of the spacing
 USUAL_SCATTER = 1.2  # a torn outline scatters widely: it is cut near where the others are, not to keep its wrong edges
-LOOKS_ALIKE, SURE = 0.12, 5.0  # difference of a radius from the usual one, as a share and in sigmas, that is plain
-LEAST_SEEN = 0.2  # of an outline
+LOOKS_ALIKE = 0.15  # difference of a radius from the usual one, as a share, up to which holes may share it
+LEAST_SEEN = 0.2  # of an outline that has a say in where the pattern is
 PLACE_SIGMA_MM = 0.05  # added where the pattern gives the start: an edge in the wrong place looks as sure as any
 INFLATION = 2.5  # of variances: an artefact at the edge is wider than a sector. From emulated scans with known centres
 
@@ -50,15 +51,10 @@ class Outline:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """Change of centres (n, 2) and radii (n,), covariance (n, 2, 2) of the centres, scatter (n,), what was used (n, S).
-
-    `own_radius` (n,), `own_sigma` (n,): change of the radius that the hole alone would have.
-    """
+    """Change of centres (n, 2) and radii (n,), covariance (n, 2, 2) of the centres, scatter (n,), edges used (n, S)."""
 
     centre: Array
     radius: Array
-    own_radius: Array
-    own_sigma: Array
     covariance: Array
     scatter: Array
     used: NDArray[np.bool_]
@@ -74,8 +70,8 @@ def edge_band_mm(sigma_mm: float, spacing_mm: float) -> float:
 
 def fit_outlines(
     uv: Array, owner: NDArray[np.intp], centres_mm: Array, radii_mm: Array, spacing_mm: float, part: Part | None = None
-) -> list[Outline | None]:
-    """Outlines of holes at about `centres_mm` (n, 2) with `radii_mm` (n,) from face points (M, 2), None where unseen.
+) -> list[Outline]:
+    """Outlines of holes at about `centres_mm` (n, 2) with `radii_mm` (n,) from face points (M, 2); `arc` may be 0.
 
     `owner` (M,) is the hole that each point lies around. With `part`, in whose frame all lies, holes that are drawn
     alike share their radius, and where the pattern has them tells what edge is theirs. Limited by the sampling: an edge
@@ -88,43 +84,41 @@ def fit_outlines(
     ways = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     profile = np.zeros(sectors)
     edge = _edges(uv - centre[owner], owner, radius, sectors, spacing_mm)
-    step = _step(edge, ways, group, start - radius, spacing_mm)
+    step = _step(edge, ways, group, start - radius, spacing_mm, np.inf)
     for turn in range(1, ROUNDS):
         centre, radius = centre + step.centre, radius + step.radius
-        if turn == PROFILED and part is not None:
-            group, radius = _regrouped(group, radius - step.radius, step)
-            start = radius
         if turn == PLACED and part is not None:
             centre = _placed(part, centre, step)
         edge = _edges(uv - centre[owner], owner, radius, sectors, spacing_mm)
         if turn >= PROFILED:
             profile = _profile(edge, ways)
-        step = _step(edge - profile, ways, group, start - radius, spacing_mm)
+        if turn == PLACED and part is not None:  # about the places, where no wrong radius has moved a centre aside
+            group, start = _regrouped(group, radius, edge - profile, float(np.median(step.scatter)))
+            edge, radius = edge + (radius - start)[:, None], start
+        usual = USUAL_SCATTER if turn >= PROFILED else np.inf
+        step = _step(edge - profile, ways, group, start - radius, spacing_mm, usual)
     centre, radius = centre + step.centre, radius + step.radius
     return _seen(uv - centre[owner], owner, centre, radius, step, spacing_mm)
 
 
 def _seen(
     offset: Array, owner: NDArray[np.intp], centre: Array, radius: Array, step: _Step, spacing_mm: float
-) -> list[Outline | None]:
-    """The outlines where they ended, None where too little was seen of one."""
+) -> list[Outline]:
+    """The outlines where they ended."""
     count, distance = len(centre), np.hypot(*offset.T)
     along = np.bincount(owner[np.abs(distance - radius[owner]) < spacing_mm], minlength=count)
     inside = np.bincount(owner[distance < 0.8 * radius[owner]], minlength=count)
     whole = np.maximum(np.pi * (0.8 * radius) ** 2 / spacing_mm**2, 1.0)
-    arc = step.used.mean(axis=1)
     return [
         Outline(
             centre_mm=centre[k],
             radius_mm=float(radius[k] - 0.5 * spacing_mm),
             covariance=step.covariance[k],
             scatter_mm=float(step.scatter[k]),
-            arc=float(arc[k]),
+            arc=float(step.used[k].mean()),
             fill=float(inside[k] / whole[k]),
             points=int(along[k]),
         )
-        if arc[k] >= LEAST_SEEN
-        else None
         for k in range(count)
     ]
 
@@ -140,16 +134,26 @@ def _shared(radii_mm: Array, group: NDArray[np.intp]) -> Array:
     return np.array([float(np.median(radii_mm[group == own])) for own in group])
 
 
-def _regrouped(group: NDArray[np.intp], radius: Array, step: _Step) -> tuple[NDArray[np.intp], Array]:
+def _regrouped(
+    group: NDArray[np.intp], radius: Array, edge: Array, scatter_mm: float
+) -> tuple[NDArray[np.intp], Array]:
     """Groups (n,) and radii (n,) where a hole that plainly has another radius than its group is alone with its own.
 
-    `radius` (n,) is the one that the step started from.
+    Plainly: many of its edges lie on that other circle, and by far more than on its group's.
     """
-    own = radius + step.own_radius
-    usual = _shared(own, group)
-    other = np.abs(own - usual) > np.maximum(LOOKS_ALIKE * usual, SURE * step.own_sigma)
+    shift = _medians(edge)
+    own, shared = (np.count_nonzero(np.abs(edge - of) < scatter_mm, axis=1) for of in (shift[:, None], 0.0))
+    other = (np.abs(shift) > LOOKS_ALIKE * radius) & (own > 0.4 * edge.shape[1]) & (own > 3 * shared)
     alone = np.arange(len(group)) + len(group)
-    return np.where(other, alone, group).astype(np.intp), np.where(other, own, usual)
+    return np.where(other, alone, group).astype(np.intp), np.where(other, radius + shift, radius)
+
+
+def _medians(rows: Array) -> Array:
+    """Median (n,) of the finite values in each row (n, S), the lower one of two; 0 where there is none."""
+    count = np.isfinite(rows).sum(axis=1)
+    ordered = np.sort(rows, axis=1)  # NaN come last
+    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
+    return np.where(count > 0, middle, 0.0)
 
 
 def _edges(offset: Array, owner: NDArray[np.intp], radius: Array, sectors: int, spacing_mm: float) -> Array:
@@ -178,23 +182,23 @@ def _profile(edge: Array, ways: Array) -> Array:
     return np.asarray(common - ways @ (common @ ways) * 2.0 / len(common))
 
 
-def _step(edge: Array, ways: Array, group: NDArray[np.intp], pull_mm: Array, spacing_mm: float) -> _Step:
+def _step(edge: Array, ways: Array, group: NDArray[np.intp], pull_mm: Array, spacing_mm: float, usual: float) -> _Step:
     """One Gauss-Newton step with Tukey weights; a group's radius is eliminated from the centres (Schur complement).
 
-    Where a group shows too little of its outlines, its radius is held to the start, `pull_mm` (n,) away.
+    Where a group shows too little of its outlines, its radius is held to the start, `pull_mm` (n,) away. Edges are cut
+    at the scatter of their own outline, or at `usual` times the median one where that is less.
     """
     seen = np.isfinite(edge)
     value = np.where(seen, edge, 0.0)
-    middle = [float(np.median(np.abs(row[own]))) if own.any() else 0.0 for row, own in zip(value, seen, strict=True)]
-    scatter = np.maximum(1.4826 * np.array(middle), LEAST_SCATTER * spacing_mm)
-    ratio = value / (TUKEY * np.minimum(scatter, USUAL_SCATTER * float(np.median(scatter)))[:, None])
+    scatter = np.maximum(1.4826 * _medians(np.abs(edge)), LEAST_SCATTER * spacing_mm)
+    ratio = value / (TUKEY * np.minimum(scatter, usual * float(np.median(scatter)))[:, None])
     used = seen & (np.abs(ratio) < 1.0)
     weight = np.where(used, (1.0 - ratio**2) ** 2, 0.0) / (WINDOW * INFLATION * scatter[:, None] ** 2)
     square = np.einsum("ns,si,sj->nij", weight, ways, ways) + 1e-6 * np.eye(2)
     cross, pull = weight @ ways, (weight * value) @ ways
     inverse = np.linalg.inv(square)
     carried = np.einsum("nij,nj->ni", inverse, cross)
-    own = np.maximum(weight.sum(axis=1) - (carried * cross).sum(axis=1), 1e-9)
+    own = weight.sum(axis=1) - (carried * cross).sum(axis=1)
     wanted = (weight * value).sum(axis=1) - (carried * pull).sum(axis=1)
     held = spacing_mm**-2
     known = np.bincount(group, own)[group] + held
@@ -204,8 +208,6 @@ def _step(edge: Array, ways: Array, group: NDArray[np.intp], pull_mm: Array, spa
     return _Step(
         centre=np.clip(centre, -limit, limit),
         radius=radius,
-        own_radius=wanted / own,
-        own_sigma=own**-0.5,
         covariance=inverse + carried[:, :, None] * carried[:, None, :] / known[:, None, None],
         scatter=scatter,
         used=used,
