@@ -59,8 +59,9 @@ def on_thread(met: Depths, deepest_mm: float) -> NDArray[np.bool_]:
 def tukey(met: Depths, law: NoiseLaw) -> tuple[Array, Array]:
     """Robust weights (N,) and one sigma (N,) of each depth; weight 0 for what is no thread."""
     sigmas = law.sigmas(met)
-    ratio = np.abs(np.nan_to_num(met.ahead_mm)) / (4.7 * sigmas)
-    return np.where(on_thread(met, law.deepest_mm), np.square(1.0 - np.square(np.minimum(ratio, 1.0))), 0.0), sigmas
+    ratio = np.where(on_thread(met, law.deepest_mm), met.ahead_mm, np.inf) * (1.0 / 4.7)
+    ratio /= sigmas
+    return np.square(1.0 - np.minimum(ratio * ratio, 1.0)), sigmas
 
 
 def misfit(met: Depths, law: NoiseLaw) -> Array:

@@ -19,8 +19,8 @@ SEEKERS, SEEKERS_TOTAL = 36, 1200
 """The same for searches."""
 RADIUS_CHANGES_MM = (0.0, -0.02, 0.02, -0.05, 0.05, -0.08, 0.08, -0.12, 0.12, -0.17)
 STILL_MM = 1e-3
-POOR_SHARE = 0.7
-"""A stud of whose points a smaller share fits is tried again from another phase."""
+POOR_SHARE, POORER = 0.3, 0.12
+"""A stud is tried again where a larger share of its points does not fit, or so much more than of the usual stud."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +95,14 @@ def _normal(met: Depths, law: NoiseLaw, stud: NDArray[np.intp], count: int) -> N
 
 def rows_of(met: Depths, sigmas: Array) -> Array:
     """Design and right-hand side (SIZE, N) in units of one sigma."""
-    return np.concatenate([met.slopes, -np.nan_to_num(met.ahead_mm)[None]]) / sigmas
+    side = np.where(np.isfinite(met.ahead_mm), -met.ahead_mm, 0.0)
+    return np.concatenate([met.slopes, side[None]]) / sigmas
 
 
 def _tried_again(rays: Rays, start: Start, own: Array, shared: Array, law: NoiseLaw) -> tuple[Array, Array, NoiseLaw]:
     """Studs that do not fit, once more from other places and phases beside the sizes which the others found."""
     misfits = _misfit(rays, own, shared, start.form, law)
-    poor = misfits > 1.0 - POOR_SHARE
+    poor = misfits > min(POOR_SHARE, float(np.median(misfits)) + POORER)
     if not poor.any() or not start.form.hand:
         return own, shared, law
     rows = np.flatnonzero(poor[rays.stud])
@@ -116,6 +117,8 @@ def _tried_again(rays: Rays, start: Start, own: Array, shared: Array, law: Noise
         misfit_now = _misfit(some, trial, shared, part.form, law)
         best = np.where((misfit_now < least)[:, None], trial, best)
         least = np.minimum(least, misfit_now)
+    if (least == misfits[poor]).all():
+        return own, shared, law
     own = own.copy()
     own[poor] = best
     return approach(rays, start, own, shared, 0.0, law=law, rounds=6, held=0)
@@ -125,11 +128,12 @@ def _other_places(start: Start, own: Array, poor: NDArray[np.bool_]) -> list[Arr
     """Places (k, 2) at which the poor studs may stand: where they began, and where the others say that they are."""
     places = [start.own[poor, :2]]
     if start.expected_mm is not None and np.count_nonzero(~poor) >= 3:
-        # similarity z -> a z + b in the complex plane, least squares over the studs that fit
+        # z -> turn z + shift in the complex plane, least squares over the studs that fit
         nominal = start.expected_mm[:, 0] + 1j * start.expected_mm[:, 1]
         found = own[~poor, 0] + 1j * own[~poor, 1]
-        design = np.column_stack([nominal[~poor], np.ones(len(found))])
-        moved = np.column_stack([nominal, np.ones(len(nominal))]) @ np.linalg.lstsq(design, found, rcond=None)[0]
+        arm = nominal - nominal[~poor].mean()
+        turn = np.vdot(arm[~poor], found - found.mean()) / np.vdot(arm[~poor], arm[~poor])
+        moved = found.mean() + turn * arm
         places.append(np.column_stack([moved.real, moved.imag])[poor])
     return places
 
