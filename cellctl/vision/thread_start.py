@@ -19,6 +19,8 @@ SEEKERS, SEEKERS_TOTAL = 36, 1200
 """The same for searches."""
 RADIUS_CHANGES_MM = (0.0, -0.02, 0.02, -0.05, 0.05, -0.08, 0.08, -0.12, 0.12, -0.17)
 STILL_MM = 1e-3
+LOOSER = np.array([1.0, 1.0, 6.0, 6.0, 1.0, 1.0])
+"""Studs may lean more than drawings allow; how much is learnt in the end."""
 POOR_SHARE, POORER = 0.3, 0.12
 """A stud is tried again where a larger share of its points does not fit, or so much more than of the usual stud."""
 
@@ -72,13 +74,13 @@ def approach(
     rounds: int = 16, held: int = HELD_ROUNDS,
 ) -> tuple[Array, Array, NoiseLaw]:  # fmt: skip
     """Gauss-Newton with Tukey weights whose scale falls from `scale_mm` to what the residuals show."""
+    held_priors = replace(start.priors, shared=np.minimum(start.priors.shared, HELD_MM))
+    free_priors = replace(start.priors, own=start.priors.own * LOOSER)
     known, law = (start.own, start.shared), law or NoiseLaw(scale_mm, SURELY_FLANK * float(start.shared[PITCH]))
     for turn in range(rounds):
         met = depths(rays, own, shared, start.form)
         law = scale_of(met, law, scale_mm * 0.5**turn if turn < 4 else 0.0)
-        priors = start.priors
-        if turn < held:
-            priors = replace(priors, shared=np.minimum(priors.shared, HELD_MM))
+        priors = held_priors if turn < held else free_priors
         d_own, d_shared = _normal(met, law, rays.stud, len(own)).step((own, shared), known, priors)
         own, shared = own + np.clip(d_own, -0.3, 0.3), shared + np.clip(d_shared, -0.1, 0.1)
         if turn > held + 1 and float(np.abs(d_own[:, [0, 1, 4]]).max()) < STILL_MM:
