@@ -3,6 +3,8 @@ PYTHON ?= python3
 ARGS ?=
 BIN := .venv/bin
 UV_VERSION := 0.13.9
+PCL_INCLUDE = $(firstword $(wildcard /usr/include/pcl-*))
+PCL_LIBRARIES := segmentation sample_consensus filters search kdtree common
 
 .PHONY: help demo test check bench nightly lock clean system
 .DEFAULT_GOAL := help
@@ -11,7 +13,7 @@ help:
 	@echo "make demo             one whole assembly on fake devices, page at http://127.0.0.1:8080 (ARGS=--once ends)"
 	@echo "make test             the tests"
 	@echo "make check            lint, types, import contracts"
-	@echo "make bench            benchmarks as ratios"
+	@echo "make bench            benchmarks as ratios, to docs/benchmarks.md; ARGS=\"--only time\" for one part"
 	@echo "make nightly MINUTES=60   long campaigns, figures to docs/figures"
 
 system:
@@ -36,8 +38,13 @@ check: $(BIN)/.ready
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(BIN)/.ready
-	$(BIN)/python -m tests.benchmarks $(ARGS)
+build/pcl_pipeline: tests/benchmarks/pcl_pipeline.cpp
+	@sh tests/benchmarks/check-pcl.sh
+	mkdir -p $(@D)
+	$(CXX) -O3 -std=c++17 -fopenmp -I$(PCL_INCLUDE) -I/usr/include/eigen3 $< -o $@ $(PCL_LIBRARIES:%=-lpcl_%)
+
+bench: $(BIN)/.ready build/pcl_pipeline
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.benchmarks $(ARGS)
 
 nightly: $(BIN)/.ready
 	$(BIN)/python -m tests.nightly --minutes $(or $(MINUTES),60)

@@ -12,8 +12,10 @@ from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame
 from cellctl.vision.grid import Void, find_voids, rasterise, spacing
 from cellctl.vision.holes import void_radii
+from cellctl.vision.likeness import by_likeness
+from cellctl.vision.outline import edge_band_mm
 from cellctl.vision.part import Part, Refused
-from cellctl.vision.pattern import PatternPose, blind_to_sizes, find_pattern, nominal, symmetry
+from cellctl.vision.pattern import CLEAR_MARGIN, PatternPose, blind_to_sizes, find_patterns, nominal, symmetry
 from cellctl.vision.plane import Plane, find_planes
 from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, stand_on, tip_levels
 
@@ -22,6 +24,8 @@ MAX_NOISE_MM = 0.5
 LEAST_DISTANCE_MM = 100.0
 CLEAR_SIDE, SIDE_POINTS = 5.0, 200_000
 """Standard deviations by which the holes tell the side, and how many points are looked at."""
+RIVALS, MOST_RIVALS = 0.25, 8  # poses that score so much less, per feature, are told apart by their outlines
+LEAST_LIKENESS = 0.25  # per feature: chance voids in a few of the places are no pattern
 CELLS_PER_SPACING, CELLS_PER_RADIUS = 1.6, 4.0
 THINNED_POINTS = 120_000
 """As many points show where the face and its pattern are; finer sampling serves the fits."""
@@ -169,11 +173,21 @@ def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part
     tolerance = max(0.006 * part.circle_diameter_mm, 2.0 * space)
     # where only sizes tell the clocking, walls tell it later: what the face shows of a size is torn and chamfered
     blind = blind_to_sizes(part)
-    pattern = find_pattern(blind, positions, radii, scores, tolerance)
-    if pattern is None or pattern.matched < max(3, int(np.ceil(0.5 * part.count))):
+    least = max(3, int(np.ceil(0.5 * part.count)))
+    rivals = find_patterns(blind, positions, radii, scores, tolerance, within=max(1.0, RIVALS * part.count))
+    rivals = [pattern for pattern in rivals if pattern.matched >= least]
+    if part.feature == "hole" and (len(rivals) > 1 or any(pattern.matched < part.count for pattern in rivals)):
+        edge = np.abs(local.z) < edge_band_mm(plane.sigma_mm, space)
+        face = np.stack([local.x[edge], local.y[edge]], axis=1, dtype=np.float64)
+        sizes = [_matched_radii(part, pose, positions, radii) for pose in rivals[:MOST_RIVALS]]
+        judged = by_likeness(rivals[:MOST_RIVALS], face, part, np.stack(sizes), space) if rivals else []
+        rivals = [pose for pose in judged if pose.score > LEAST_LIKENESS * part.count]
+    if not rivals:
         return None
-    _refuse_further(part, pattern, positions, radii, scores, tolerance)
-    pattern = _nearest_to(pattern, frame, blind, reference)
+    if len(rivals) > 1 and rivals[1].score > rivals[0].score - CLEAR_MARGIN:
+        raise Refused("pattern_ambiguous", "two clockings of the pattern are met equally well")
+    _refuse_further(part, rivals[0], positions, radii, scores, tolerance)
+    pattern = _nearest_to(rivals[0], frame, blind, reference)
     radii = _matched_radii(part, pattern, positions, radii)
     return Face(plane, _pattern_frame(frame, pattern), space * float(np.sqrt(thinned.share)), radii, pattern)
 

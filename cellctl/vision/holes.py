@@ -14,7 +14,7 @@ from cellctl.vision import hole_fit, hole_model
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array
 from cellctl.vision.hole_refine import refine
-from cellctl.vision.outline import Outline, fit_outline
+from cellctl.vision.outline import Outline, edge_band_mm, fit_outlines
 from cellctl.vision.part import Part
 from cellctl.vision.pattern import nominal
 from cellctl.vision.rim import look
@@ -22,6 +22,8 @@ from cellctl.vision.shared_noise import SharedNoise
 
 MIN_INNER_POINTS = 12
 MIN_ARC = 0.5
+MIN_TORN_ARC = 0.25  # where the other holes tell the radius and the shape of the edge
+MIN_EDGE_POINTS = 12
 MAX_FILL = 0.25
 
 
@@ -147,43 +149,16 @@ def _by_rim(around: _Around, part: Part, radii_mm: Array, sight: Sight) -> list[
 
 def _by_outline(around: _Around, part: Part, radii_mm: Array, sight: Sight) -> list[Hole]:
     """Every hole without a chamfer as its outline shows it, or missing with the reason."""
+    on = np.abs(around.points[:, 2]) < edge_band_mm(sight.sigma_mm, sight.spacing_mm)
     centres = nominal(part)
-    outlines = _outlines(around.points, around.starts, part, centres, radii_mm, sight.spacing_mm, sight.sigma_mm)
+    outlines = fit_outlines(around.points[on, :2], around.owner[on], centres, radii_mm, sight.spacing_mm, part)
     return [_judged(outlines[k], part, k, float(radii_mm[k]), centres[k]) for k in range(part.count)]
 
 
 def _judged(outline: Outline | None, part: Part, index: int, radius_mm: float, centre_mm: Array) -> Hole:
-    reason = _why_missing(outline, centre_mm, radius_mm)
+    least_arc = MIN_TORN_ARC if part.chamfer_diameter_mm is None else MIN_ARC
+    reason = _why_missing(outline, centre_mm, radius_mm, least_arc)
     return missing(reason) if reason or outline is None else _from_outline(outline, radius_mm, part, index)
-
-
-def _outlines(
-    points: Array, starts: NDArray[np.intp], part: Part, centres: Array, radii_mm: Array, spacing_mm: float,
-    sigma_mm: float,
-) -> list[Outline | None]:  # fmt: skip
-    """Outline at every nominal place; a second time with the usual radius of holes that are drawn alike."""
-    # at an edge a camera blurs and lifts the surface: without a chamfer to confuse it with, all of that is face
-    band = 4.0 * sigma_mm if part.chamfer_diameter_mm is not None else max(4.0 * sigma_mm, 3.0 * spacing_mm)
-    faces = []
-    for k in range(part.count):
-        around = points[starts[k] : starts[k + 1]]
-        faces.append(around[np.abs(around[:, 2]) < band, :2])
-    first = [fit_outline(faces[k], centres[k], float(radii_mm[k]), spacing_mm) for k in range(part.count)]
-    sizes = np.array([np.nan if outline is None else outline.radius_mm + 0.5 * spacing_mm for outline in first])
-    if part.chamfer_diameter_mm is not None or not np.isfinite(sizes).any():
-        return list(first)  # with a chamfer the outline is only the start of the model's fit
-    # without sizes in the recipe, those near the middle one count as drawn alike
-    near = np.abs(sizes / np.nanmedian(sizes) - 1.0) < 0.12
-    drawn = np.where(near, 0.0, np.nan) if part.diameter_mm is None else np.asarray(part.diameter_mm)
-    result = list(first)
-    for size in np.unique(drawn[np.isfinite(drawn)]):
-        group = np.flatnonzero(drawn == size)
-        if np.count_nonzero(np.isfinite(sizes[group])) < 3:
-            continue
-        usual = float(np.nanmedian(sizes[group]))
-        for k in map(int, group):
-            result[k] = fit_outline(faces[k], centres[k], usual, spacing_mm, radius_sigma_mm=0.1 * spacing_mm)
-    return result
 
 
 def _half_gap(centres: Array) -> float:
@@ -192,14 +167,16 @@ def _half_gap(centres: Array) -> float:
     return 0.5 * float(distance[distance > 1e-6].min())
 
 
-def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float) -> str:
+def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float, least_arc: float) -> str:
     """Empty where the outline is that of a hole at its place, else why it is not."""
     if outline is None:
         return "no edge of the face was seen at the hole's place"
     if outline.fill > MAX_FILL:
         return "the face is closed at the hole's place"
-    if outline.arc < MIN_ARC:
+    if outline.arc < least_arc:
         return f"only {100 * outline.arc:.0f} % of the outline was seen"
+    if outline.points < MIN_EDGE_POINTS:
+        return f"only {outline.points} points lie along the outline"
     if np.hypot(*(outline.centre_mm - nominal_mm)) > 0.5 * radius_mm:
         return "the void found lies off the hole's place"
     if not 0.6 * radius_mm < outline.radius_mm < 1.5 * radius_mm:

@@ -24,6 +24,7 @@ from cellctl.vision.contradictions import (
     off_place_mm,
 )
 from cellctl.vision.face import Face, before_the_eye, find_face
+from cellctl.vision.flatness import inside_edges
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
 from cellctl.vision.holes import Hole, Sight, measure_holes, reaches
 from cellctl.vision.index import turned_by_sizes
@@ -48,6 +49,10 @@ class Gates:
 
 
 DEFAULT_GATES = Gates()
+AREA_SAMPLE = 60_000
+"""Points of a scan that are enough to tell how flat the face is."""
+SCANNER_FLATNESS_MM = 0.1
+"""How bent a scanner may show a flat face (VDI/VDE 2634-2): a part that meets its drawing is not refused for it."""
 MAX_SIGMA_MM = 0.2
 """One sigma of the pattern's place, or of its turn along the circle, beyond which there is no pose."""
 USUAL_DISTANCE_MM = 400.0
@@ -91,11 +96,15 @@ def measure_part(
 
 @dataclass(frozen=True, slots=True)
 class _Places:
-    """Which points lie where: rows on the face's own area near its plane, rows around holes and the hole of each."""
+    """Which points lie where: rows on the face's own area near its plane, rows around holes and the hole of each.
+
+    `area` are rows well inside the face's own area, at any height, a sample.
+    """
 
     on_face: NDArray[np.intp]
     around: NDArray[np.intp]
     owner: NDArray[np.intp]
+    area: NDArray[np.intp]
     coverage: float
 
 
@@ -145,13 +154,16 @@ def _place(scan: Columns, found: Face, part: Part) -> _Places:
     zones = Zones.of(part, found.radii_mm, reach, found.spacing_mm)
     codes = zones.codes.reshape(-1)
     near, level = 8.0 * found.plane.sigma_mm + (part.flatness_limit_mm or 0.0), 5.0 * found.plane.sigma_mm + 0.01
-    on_face, around, owner, seen = [], [], [], np.zeros(len(codes), dtype=np.intp)
+    on_face, around, owner, area, seen = [], [], [], [], np.zeros(len(codes), dtype=np.intp)
+    step = max(1, len(scan) // AREA_SAMPLE)
     for begin, piece in scan.batches():
         local = piece.into(found.frame)
         cells = zones.cells(local.x, local.y)
         code, height = codes.take(cells), np.abs(local.z)
         rows = np.flatnonzero((code >= FACE) & (height < near))
         on_face.append(rows + begin)
+        some = np.flatnonzero(code[::step] >= FACE) * step
+        area.append(some[inside_edges(local.take(some), part, found.radii_mm)] + begin)
         seen += np.bincount(cells[rows[height[rows] < level]], minlength=len(seen))
         if part.feature == "hole":
             code &= FEATURE
@@ -159,9 +171,8 @@ def _place(scan: Columns, found: Face, part: Part) -> _Places:
             around.append(rows + begin)
             owner.append(code[rows].astype(np.intp) - 1)
     none = np.zeros(0, dtype=np.intp)
-    return _Places(
-        np.concatenate(on_face), np.concatenate(around or [none]), np.concatenate(owner or [none]), zones.coverage(seen)
-    )
+    around_rows, owners = np.concatenate(around or [none]), np.concatenate(owner or [none])
+    return _Places(np.concatenate(on_face), around_rows, owners, np.concatenate(area), zones.coverage(seen))
 
 
 def _likely_eye(found: Face) -> Array:
@@ -178,9 +189,12 @@ def _onto(face: FaceFit, point: Array) -> Array:
 
 def _refit_face(scan: Columns, places: _Places, found: Face, part: Part, eye: Array) -> FaceFit:
     """The face plane from the face alone: inside its rims and clear of the features, whose edges would pull it."""
-    face = fit_face(scan.take(places.on_face), found.plane, eye)
-    if part.flatness_limit_mm is not None and face.flatness_mm > 5.0 * part.flatness_limit_mm:
-        raise Refused("face_warped", f"the face is {face.flatness_mm:.3f} mm out of flat")
+    face = fit_face(scan.take(places.on_face), found.plane, eye, scan.take(places.area))
+    if part.flatness_limit_mm is not None and face.flatness_mm > part.flatness_limit_mm + SCANNER_FLATNESS_MM:
+        raise Refused(
+            "face_warped",
+            f"the face is {face.flatness_mm:.3f} mm out of flat, the recipe allows {part.flatness_limit_mm:g} mm",
+        )
     return face
 
 

@@ -1,22 +1,42 @@
-"""A circle through the outline of a hole in the face: the fallback where neither wall nor chamfer was seen."""
+"""Circles through the outlines of holes in the face: where neither wall nor chamfer was seen, or none is drawn.
+
+A camera blurs, lifts and loses what lies at an edge, and does so alike at every hole: the outlines are fitted together,
+each with its own centre, with one radius for holes that are drawn alike, and with one profile over the direction that
+all of them share. What is missing at one hole is then known from the others.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellctl.vision.geometry import Array
+from cellctl.vision.part import Part
+from cellctl.vision.pattern import fit_pattern, nominal
 
-# an edge scatters with long tails that still carry its place: cut later than where noise is normal
-EDGE_TUKEY = 6.0
+ROUNDS, PROFILED, PLACED = 13, 4, 5  # from which round on there is a profile; the one that starts from the pattern
+WINDOW = 3  # sectors in which the innermost point is looked for: they overlap, so that their place does not matter
+WIDTH = 1.8  # of that window, in spacings
+REACH = 3.2  # how far outside the outline an edge point may lie, in spacings
+INNER, OUTER = 0.7, 1.5  # the same as a share of the radius, to either side
+BAND, MOST_BAND_MM = 2.5, 1.0  # height of what still belongs to the face at an edge, in spacings and at most
+TUKEY = 3.5
+LEAST_SCATTER = 0.1  # of the spacing
+USUAL_SCATTER = 1.2  # a torn outline scatters widely: it is cut near where the others are, not to keep its wrong edges
+LOOKS_ALIKE, SURE = 0.12, 5.0  # difference of a radius from the usual one, as a share and in sigmas, that is plain
+LEAST_SEEN = 0.2  # of an outline
+PLACE_SIGMA_MM = 0.05  # added where the pattern gives the start: an edge in the wrong place looks as sure as any
+INFLATION = 2.5  # of variances: an artefact at the edge is wider than a sector. From emulated scans with known centres
 
 
 @dataclass(frozen=True, slots=True)
 class Outline:
     """Circle (centre (2,), radius) in the face, `covariance` (2, 2) of the centre, and how the outline looks.
 
-    `arc` is the share of the outline that was seen, `fill` the share of the disk that is covered by face points.
+    `arc` is the share of the outline that was seen, `fill` the share of the disk that is covered by face points,
+    `points` how many of them lie along the outline.
     """
 
     centre_mm: Array
@@ -28,61 +48,176 @@ class Outline:
     points: int
 
 
-def fit_outline(
-    uv: Array, start: Array, radius_mm: float, spacing_mm: float, *, radius_sigma_mm: float = float("inf")
-) -> Outline | None:
-    """Robust circle through the innermost face points (N, 2) of each sector around `start`; None where there is none.
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Change of centres (n, 2) and radii (n,), covariance (n, 2, 2) of the centres, scatter (n,), what was used (n, S).
 
-    Limited by the sampling: an edge lies anywhere within one spacing of the innermost point. The radius is corrected
-    by half a spacing, which is what the innermost point of a sector stands off on average. With `radius_sigma_mm`
-    the radius (before that correction) is held to `radius_mm` as that well known: a torn outline needs it.
+    `own_radius` (n,), `own_sigma` (n,): change of the radius that the hole alone would have.
     """
-    centre, radius = start.astype(np.float64), radius_mm
-    sectors = int(np.clip(2.0 * np.pi * radius_mm / (1.1 * spacing_mm), 12, 180))
-    covariance, scatter, kept, edge = np.eye(2), np.nan, np.zeros(0, dtype=np.bool_), np.zeros((0, 2))
-    for _ in range(15):
-        edge = _edge(uv, centre, radius, sectors)
-        if len(edge) < max(8, sectors // 4):
-            return None
-        for _ in range(5):
-            offset = edge - centre
-            rho = np.hypot(*offset.T)
-            residual = rho - radius
-            scatter = max(1.4826 * float(np.median(np.abs(residual))), 0.05 * spacing_mm)
-            weights = np.clip(1.0 - (residual / (EDGE_TUKEY * scatter)) ** 2, 0.0, None) ** 2
-            kept = weights > 0.0
-            if np.count_nonzero(kept) < 8:
-                return None
-            design = np.column_stack([offset / rho[:, None], np.ones(len(edge))])
-            hold = (scatter / radius_sigma_mm) ** 2
-            normal = (design * weights[:, None]).T @ design + np.diag([0.0, 0.0, hold])
-            pull = design.T @ (weights * residual) + np.array([0.0, 0.0, hold * (radius_mm - radius)])
-            change = np.linalg.lstsq(normal, pull, rcond=None)[0]
-            centre, radius = centre + change[:2], float(radius + change[2])
-            covariance = np.linalg.pinv(normal)[:2, :2] * float((weights * residual**2).sum() / weights.sum())
-        if np.abs(change).max() < 1e-5:
-            break
-    # neighbouring sectors often take the same run of pixels: about every second one is independent
-    inside = np.hypot(*(uv - centre).T)
-    expected = np.pi * (0.8 * radius) ** 2 / spacing_mm**2
-    return Outline(
-        centre_mm=centre,
-        radius_mm=radius - 0.5 * spacing_mm,
-        covariance=2.0 * covariance,
-        scatter_mm=scatter,
-        arc=float(np.count_nonzero(kept)) / sectors,
-        fill=float(np.count_nonzero(inside < 0.8 * radius)) / max(expected, 1.0),
-        points=int(np.count_nonzero(kept)),
+
+    centre: Array
+    radius: Array
+    own_radius: Array
+    own_sigma: Array
+    covariance: Array
+    scatter: Array
+    used: NDArray[np.bool_]
+
+
+def edge_band_mm(sigma_mm: float, spacing_mm: float) -> float:
+    """Height above or below the face up to which points at an edge are taken for the face's own.
+
+    A camera blurs and lifts the surface there: without a chamfer to confuse it with, all of that is face.
+    """
+    return max(4.0 * sigma_mm, min(BAND * spacing_mm, MOST_BAND_MM))
+
+
+def fit_outlines(
+    uv: Array, owner: NDArray[np.intp], centres_mm: Array, radii_mm: Array, spacing_mm: float, part: Part | None = None
+) -> list[Outline | None]:
+    """Outlines of holes at about `centres_mm` (n, 2) with `radii_mm` (n,) from face points (M, 2), None where unseen.
+
+    `owner` (M,) is the hole that each point lies around. With `part`, in whose frame all lies, holes that are drawn
+    alike share their radius, and where the pattern has them tells what edge is theirs. Limited by the sampling: an edge
+    lies anywhere within one spacing of the innermost point, and the radius is corrected by half a spacing.
+    """
+    centre, group = centres_mm, np.arange(len(centres_mm)) if part is None else _drawn(part)
+    radius = start = _shared(radii_mm, group)
+    sectors = WINDOW * int(np.clip(2.0 * np.pi * float(np.median(radius)) / (WIDTH * spacing_mm), 12, 180))
+    angle = (np.arange(sectors) + 0.5) * 2.0 * np.pi / sectors
+    ways = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    profile = np.zeros(sectors)
+    edge = _edges(uv - centre[owner], owner, radius, sectors, spacing_mm)
+    step = _step(edge, ways, group, start - radius, spacing_mm)
+    for turn in range(1, ROUNDS):
+        centre, radius = centre + step.centre, radius + step.radius
+        if turn == PROFILED and part is not None:
+            group, radius = _regrouped(group, radius - step.radius, step)
+            start = radius
+        if turn == PLACED and part is not None:
+            centre = _placed(part, centre, step)
+        edge = _edges(uv - centre[owner], owner, radius, sectors, spacing_mm)
+        if turn >= PROFILED:
+            profile = _profile(edge, ways)
+        step = _step(edge - profile, ways, group, start - radius, spacing_mm)
+    centre, radius = centre + step.centre, radius + step.radius
+    return _seen(uv - centre[owner], owner, centre, radius, step, spacing_mm)
+
+
+def _seen(
+    offset: Array, owner: NDArray[np.intp], centre: Array, radius: Array, step: _Step, spacing_mm: float
+) -> list[Outline | None]:
+    """The outlines where they ended, None where too little was seen of one."""
+    count, distance = len(centre), np.hypot(*offset.T)
+    along = np.bincount(owner[np.abs(distance - radius[owner]) < spacing_mm], minlength=count)
+    inside = np.bincount(owner[distance < 0.8 * radius[owner]], minlength=count)
+    whole = np.maximum(np.pi * (0.8 * radius) ** 2 / spacing_mm**2, 1.0)
+    arc = step.used.mean(axis=1)
+    return [
+        Outline(
+            centre_mm=centre[k],
+            radius_mm=float(radius[k] - 0.5 * spacing_mm),
+            covariance=step.covariance[k],
+            scatter_mm=float(step.scatter[k]),
+            arc=float(arc[k]),
+            fill=float(inside[k] / whole[k]),
+            points=int(along[k]),
+        )
+        if arc[k] >= LEAST_SEEN
+        else None
+        for k in range(count)
+    ]
+
+
+def _drawn(part: Part) -> NDArray[np.intp]:
+    """Group (n,) of each hole: those of one size on the drawing, all where it gives none."""
+    drawn = np.zeros(part.count) if part.diameter_mm is None else np.asarray(part.diameter_mm)
+    return np.unique(drawn, return_inverse=True)[1].astype(np.intp)
+
+
+def _shared(radii_mm: Array, group: NDArray[np.intp]) -> Array:
+    """The median radius of its group for each hole (n,)."""
+    return np.array([float(np.median(radii_mm[group == own])) for own in group])
+
+
+def _regrouped(group: NDArray[np.intp], radius: Array, step: _Step) -> tuple[NDArray[np.intp], Array]:
+    """Groups (n,) and radii (n,) where a hole that plainly has another radius than its group is alone with its own.
+
+    `radius` (n,) is the one that the step started from.
+    """
+    own = radius + step.own_radius
+    usual = _shared(own, group)
+    other = np.abs(own - usual) > np.maximum(LOOKS_ALIKE * usual, SURE * step.own_sigma)
+    alone = np.arange(len(group)) + len(group)
+    return np.where(other, alone, group).astype(np.intp), np.where(other, own, usual)
+
+
+def _edges(offset: Array, owner: NDArray[np.intp], radius: Array, sectors: int, spacing_mm: float) -> Array:
+    """How far (n, S) outside the circle the innermost point near it lies, NaN where a sector shows none."""
+    count = len(radius)
+    distance = np.hypot(*offset.T)
+    outer = np.minimum(radius + REACH * spacing_mm, OUTER * radius)
+    near = np.flatnonzero((distance > INNER * radius[owner]) & (distance < outer[owner]))
+    turn = np.arctan2(offset[near, 1], offset[near, 0]) / (2.0 * np.pi) % 1.0
+    sector = np.minimum((turn * sectors).astype(np.intp), sectors - 1)
+    first = np.full(count * sectors, np.inf)
+    np.minimum.at(first, owner[near] * sectors + sector, distance[near])
+    table = first.reshape(count, sectors)
+    half = WINDOW // 2
+    inner = np.min([np.roll(table, shift, axis=1) for shift in range(-half, half + 1)], axis=0)
+    return np.where(np.isfinite(inner), inner - radius[:, None], np.nan)
+
+
+def _profile(edge: Array, ways: Array) -> Array:
+    """What outlines (n, S) have in common (S,) beyond a circle; mean and first harmonic belong to radius and centre."""
+    seen = np.isfinite(edge).sum(axis=0) >= 3
+    common = np.zeros(edge.shape[1])
+    common[seen] = np.nanmedian(edge[:, seen], axis=0)
+    common = np.mean([np.roll(common, shift) for shift in range(1 - WINDOW, WINDOW)], axis=0)
+    common -= common.mean()
+    return np.asarray(common - ways @ (common @ ways) * 2.0 / len(common))
+
+
+def _step(edge: Array, ways: Array, group: NDArray[np.intp], pull_mm: Array, spacing_mm: float) -> _Step:
+    """One Gauss-Newton step with Tukey weights; a group's radius is eliminated from the centres (Schur complement).
+
+    Where a group shows too little of its outlines, its radius is held to the start, `pull_mm` (n,) away.
+    """
+    seen = np.isfinite(edge)
+    value = np.where(seen, edge, 0.0)
+    middle = [float(np.median(np.abs(row[own]))) if own.any() else 0.0 for row, own in zip(value, seen, strict=True)]
+    scatter = np.maximum(1.4826 * np.array(middle), LEAST_SCATTER * spacing_mm)
+    ratio = value / (TUKEY * np.minimum(scatter, USUAL_SCATTER * float(np.median(scatter)))[:, None])
+    used = seen & (np.abs(ratio) < 1.0)
+    weight = np.where(used, (1.0 - ratio**2) ** 2, 0.0) / (WINDOW * INFLATION * scatter[:, None] ** 2)
+    square = np.einsum("ns,si,sj->nij", weight, ways, ways) + 1e-6 * np.eye(2)
+    cross, pull = weight @ ways, (weight * value) @ ways
+    inverse = np.linalg.inv(square)
+    carried = np.einsum("nij,nj->ni", inverse, cross)
+    own = np.maximum(weight.sum(axis=1) - (carried * cross).sum(axis=1), 1e-9)
+    wanted = (weight * value).sum(axis=1) - (carried * pull).sum(axis=1)
+    held = spacing_mm**-2
+    known = np.bincount(group, own)[group] + held
+    radius = (np.bincount(group, wanted)[group] + held * pull_mm) / known
+    centre = np.einsum("nij,nj->ni", inverse, pull - cross * radius[:, None])
+    limit = 2.0 * spacing_mm
+    return _Step(
+        centre=np.clip(centre, -limit, limit),
+        radius=radius,
+        own_radius=wanted / own,
+        own_sigma=own**-0.5,
+        covariance=inverse + carried[:, :, None] * carried[:, None, :] / known[:, None, None],
+        scatter=scatter,
+        used=used,
     )
 
 
-def _edge(uv: Array, centre: Array, radius: float, sectors: int) -> Array:
-    """The innermost face point (n, 2) of every sector that has one near the outline."""
-    offset = uv - centre
-    rho = np.hypot(*offset.T)
-    near = (rho > 0.6 * radius) & (rho < 1.45 * radius)
-    offset, rho, chosen = offset[near], rho[near], uv[near]
-    sector = np.floor((np.arctan2(offset[:, 1], offset[:, 0]) / (2.0 * np.pi) % 1.0) * sectors).astype(np.int64)
-    order = np.lexsort((rho, sector))
-    _, first = np.unique(sector[order], return_index=True)
-    return np.asarray(chosen[order[first]])
+def _placed(part: Part, centre: Array, step: _Step) -> Array:
+    """Where the pattern, fitted to all centres (n, 2), has its holes: a start that one torn outline does not spoil."""
+    enough = step.used.mean(axis=1) >= LEAST_SEEN
+    if np.count_nonzero(enough) < 3:
+        return centre
+    places = np.where(enough[:, None], centre, np.nan)
+    fitted = fit_pattern(part, places, step.covariance + PLACE_SIGMA_MM**2 * np.eye(2), 0.0)
+    c, s = np.cos(fitted.clocking_rad), np.sin(fitted.clocking_rad)
+    return np.asarray(nominal(part) @ np.array([[c, s], [-s, c]]) + fitted.centre_mm)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from cellctl.vision.part import Part, Refused
 
 # score by which the best clocking must beat every other one; one matched feature is worth 1
 CLEAR_MARGIN = 0.2
+CENTRES = 3  # centres that are tried
+FAR = 3.0  # squared distance in sigmas from which on a centre loses weight: one in five goes farther by chance alone
+CONSISTENT = 1.193  # variance of normal centres over the one that those weights show: 2 W / E[min(chi2, FAR)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,25 +77,53 @@ def blind_to_sizes(part: Part) -> Part:
 
 
 def find_pattern(part: Part, positions: Array, radii: Array, weights: Array, tolerance_mm: float) -> PatternPose | None:
-    """Pose of the pattern among candidates (n, 2) with radii (n,) and weights (n,), or None with fewer than three.
+    """The pose of `find_patterns` that explains the candidates best, None where there is none.
+
+    Raises Refused pattern_ambiguous where two clockings that the pattern's symmetry does not explain are met equally
+    well.
+    """
+    poses = find_patterns(part, positions, radii, weights, tolerance_mm, within=CLEAR_MARGIN)
+    if len(poses) > 1 and 2 * poses[0].matched >= part.count:
+        raise Refused("pattern_ambiguous", "two clockings of the pattern are met equally well")
+    return poses[0] if poses else None
+
+
+def find_patterns(
+    part: Part, positions: Array, radii: Array, weights: Array, tolerance_mm: float, *, within: float
+) -> list[PatternPose]:
+    """Poses of the pattern among candidates (n, 2) with radii (n,) and weights (n,) that score up to `within` less than
+    the best one, best first; empty where fewer than three features are met.
 
     The centre by voting of pairs of candidates on the known circle, the clocking by voting of all pairings with the
-    nominal angles. Raises Refused pattern_ambiguous where two clockings that the pattern's symmetry does not explain
-    are met equally well.
+    nominal angles.
     """
-    centre = _vote_centre(positions, weights, 0.5 * part.circle_diameter_mm, tolerance_mm)
-    if centre is None:
-        return None
-    return _vote_clocking(part, positions - centre, radii, weights, tolerance_mm, centre)
+    poses: list[PatternPose] = []
+    for centre in _vote_centres(positions, weights, 0.5 * part.circle_diameter_mm, tolerance_mm):
+        poses += _vote_clockings(part, positions - centre, radii, weights, tolerance_mm, centre)
+    poses.sort(key=lambda pose: -pose.score)
+    kept: list[PatternPose] = []
+    for pose in poses:
+        if pose.score > poses[0].score - within and not any(_same(part, pose, other, tolerance_mm) for other in kept):
+            kept.append(pose)
+    return kept
 
 
-def _vote_centre(positions: Array, weights: Array, radius: float, tolerance_mm: float) -> Array | None:
+def _same(part: Part, pose: PatternPose, other: PatternPose, tolerance_mm: float) -> bool:
+    """Whether two poses are one within the tolerance, or by the pattern's own symmetry."""
+    step = 2.0 * np.pi / symmetry(part)
+    turned = float(np.mod(pose.clocking_rad - other.clocking_rad + 0.5 * step, step)) - 0.5 * step
+    moved = float(np.hypot(*(pose.centre_mm - other.centre_mm)))
+    return moved < 2.0 * tolerance_mm and abs(turned) * part.circle_diameter_mm < 8.0 * tolerance_mm
+
+
+def _vote_centres(positions: Array, weights: Array, radius: float, tolerance_mm: float) -> list[Array]:
+    """Up to `CENTRES` centres of the known circle, the one that most pairs of candidates vote for first."""
     first, second = np.triu_indices(len(positions), k=1)
     chord = positions[second] - positions[first]
     length = np.hypot(*chord.T)
     usable = (length > 0.4 * radius) & (length < 2.0 * radius + tolerance_mm)
     if not usable.any():
-        return None
+        return []
     first, second, chord, length = first[usable], second[usable], chord[usable], length[usable]
     height = np.sqrt(np.maximum(radius**2 - 0.25 * length**2, 0.0))
     normal = np.column_stack([-chord[:, 1], chord[:, 0]]) / length[:, None]
@@ -103,29 +135,45 @@ def _vote_centre(positions: Array, weights: Array, radius: float, tolerance_mm: 
     cells -= cells.min(axis=0)
     table = np.zeros(cells.max(axis=0) + 3)
     np.add.at(table, (cells[:, 0] + 1, cells[:, 1] + 1), value)
-    smooth = sum(np.roll(table, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
-    peak = np.array(np.unravel_index(int(np.argmax(smooth)), table.shape)) - 1
-    near = (np.abs(cells - peak) <= 1).all(axis=1)
-    centre = np.average(votes[near], axis=0, weights=value[near])
-    for _ in range(10):  # least squares on the known circle
+    smooth = np.zeros_like(table)
+    for i, j in product((-1, 0, 1), repeat=2):
+        smooth += np.roll(table, (i, j), axis=(0, 1))
+    centres: list[Array] = []
+    most = float(np.max(smooth))
+    for _ in range(CENTRES):
+        peak = np.array(np.unravel_index(int(np.argmax(smooth)), table.shape)) - 1
+        if smooth[peak[0] + 1, peak[1] + 1] < 0.3 * most:
+            break
+        near = (np.abs(cells - peak) <= 1).all(axis=1)
+        centre = _on_circle(np.average(votes[near], axis=0, weights=value[near]), positions, radius, tolerance_mm)
+        if centre is not None:
+            centres.append(centre)
+        low = np.maximum(peak - 1, 0)
+        smooth[low[0] : peak[0] + 4, low[1] : peak[1] + 4] = 0.0
+    return centres
+
+
+def _on_circle(centre: Array, positions: Array, radius: float, tolerance_mm: float) -> Array | None:
+    """Least squares of the centre on the known circle through the candidates near it, None with fewer than three."""
+    for _ in range(10):
         offset = positions - centre
         rho = np.hypot(*offset.T)
         on = np.abs(rho - radius) < 2.0 * tolerance_mm
         if np.count_nonzero(on) < 3:
             return None
         direction = offset[on] / rho[on, None]
-        step = np.linalg.lstsq(direction, rho[on] - radius, rcond=None)[0]
-        centre = centre + step
-    return np.asarray(centre)
+        centre = centre + np.linalg.lstsq(direction, rho[on] - radius, rcond=None)[0]
+    return centre
 
 
-def _vote_clocking(
+def _vote_clockings(
     part: Part, offset: Array, radii: Array, weights: Array, tolerance_mm: float, centre: Array
-) -> PatternPose | None:
+) -> list[PatternPose]:
+    """Poses about one centre that meet at least three features, best first, each the best within its own tolerance."""
     radius = 0.5 * part.circle_diameter_mm
     on = np.abs(np.hypot(*offset.T) - radius) < 2.0 * tolerance_mm
     if np.count_nonzero(on) < 3:
-        return None
+        return []
     angles, sizes, value = np.arctan2(offset[on, 1], offset[on, 0]), radii[on], weights[on]
     targets = np.radians(part.angles_deg)
     tolerance = 2.0 * tolerance_mm / radius
@@ -134,16 +182,18 @@ def _vote_clocking(
     differences = angles[:, None] - targets[None]
     bins = np.unique(np.round(np.mod(differences, step) / (0.5 * tolerance)).astype(np.int64))
     scored = [_score(part, theta, angles, sizes, value, targets, tolerance) for theta in bins * 0.5 * tolerance]
-    best = max(scored, key=lambda item: item.score)
-    if best.matched < 3:
-        return None
-    for rival in scored:
-        apart = float(np.mod(rival.clocking_rad - best.clocking_rad, step))
-        if min(apart, step - apart) > 2.0 * tolerance and rival.score > best.score - CLEAR_MARGIN:
-            raise Refused("pattern_ambiguous", "two clockings of the pattern are met equally well")
-    clocking = float(np.mod(best.clocking_rad + 0.5 * step, step) - 0.5 * step)
-    shift, turn = _rigid(nominal(part), offset[on], clocking, tolerance * radius)
-    return PatternPose(centre + shift, clocking + turn, best.matched, best.score)
+    scored.sort(key=lambda item: -item.score)
+    kept: list[PatternPose] = []
+    for item in scored:
+        apart = [float(np.mod(item.clocking_rad - other.clocking_rad, step)) for other in kept]
+        if item.matched >= 3 and all(min(turn, step - turn) > 2.0 * tolerance for turn in apart):
+            kept.append(item)
+    poses = []
+    for item in kept:
+        clocking = float(np.mod(item.clocking_rad + 0.5 * step, step) - 0.5 * step)
+        shift, turn = _rigid(nominal(part), offset[on], clocking, tolerance * radius)
+        poses.append(PatternPose(centre + shift, clocking + turn, item.matched, item.score))
+    return poses
 
 
 def _rigid(model: Array, offset: Array, clocking: float, tolerance_mm: float) -> tuple[Array, float]:
@@ -188,42 +238,46 @@ def _score(
 
 
 def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: float) -> PatternFit:
-    """Weighted rigid least squares of the nominal pattern on centres (n, 2), NaN where missing.
+    """Robust rigid least squares of the nominal pattern on centres (n, 2), NaN where missing.
 
-    `covariances` (n, 2, 2) are type A. The pose's covariance is scaled by the scatter of the residuals where that is
-    larger than they explain: true holes are not where the drawing says. Raises Refused features_missing below three.
+    `covariances` (n, 2, 2) are type A: a centre counts little along the direction in which it is unsure. What the
+    residuals scatter beyond them is added to all alike (true holes are not where the drawing says), and one that still
+    lies far off loses weight, so that a torn hole does not turn the rest. A scatter that few residuals show makes
+    Student's t of the pose's error, whose variance is larger. Raises Refused features_missing below three.
     """
     found = np.isfinite(centres).all(axis=1)
     if np.count_nonzero(found) < 3:
         raise Refused("features_missing", f"{int(found.sum())} features found, at least 3 are needed")
-    model, measured = nominal(part)[found], centres[found]
-    # true positions scatter by microns beyond noise: a common floor keeps one good fit from ruling the pattern
-    variance = np.trace(covariances[found], axis1=1, axis2=2) / 2.0
+    model, measured, own = nominal(part)[found], centres[found], covariances[found]
+    alone = np.linalg.inv(own)
     pose = np.array([*(measured - model).mean(axis=0), clocking_rad])
-    extra = 0.0
-    for _ in range(20):
-        weights = 1.0 / (variance + extra)
+    degrees = 2 * len(model) - 3
+    extra, free = 0.0, degrees / (2.0 * len(model))
+    for _ in range(30):
         c, s = np.cos(pose[2]), np.sin(pose[2])
         turned = model @ np.array([[c, s], [-s, c]])
         residual = measured - turned - pose[:2]
-        design = np.zeros((len(model), 2, 3))
+        precision = np.linalg.inv(own + extra * np.eye(2))
+        trust = FAR / np.maximum(np.einsum("ni,nij,nj->n", residual, precision, residual), FAR)
+        weights = precision * trust[:, None, None]
+        design = np.zeros((len(model), 2, 4))  # x, y, turn, and outward for the diameter
         design[:, 0, 0] = design[:, 1, 1] = 1.0
         design[:, 0, 2], design[:, 1, 2] = -turned[:, 1], turned[:, 0]
-        matrix = np.einsum("nij,n,nik->jk", design, weights, design)
-        step = np.linalg.solve(matrix, np.einsum("nij,n,ni->j", design, weights, residual))
-        pose = pose + step
+        design[:, :, 3] = turned / np.hypot(*turned.T)[:, None]
+        matrix = np.einsum("nij,nik,nkl->jl", design, weights, design)
+        pull = np.einsum("nij,nik,nk->j", design, weights, residual)
+        pose = pose + np.linalg.solve(matrix[:3, :3], pull[:3])
         # variance of true positions by moments (DerSimonian-Laird), so that chi-square meets its expectation
-        degrees = max(2 * len(model) - 3, 1)
-        excess = float(((residual**2).sum(axis=1) / variance).sum()) - degrees
-        extra = max(0.0, excess / (2.0 * float((1.0 / variance).sum())))
-    outward = turned / np.hypot(*turned.T)[:, None]
-    radial = float(np.average((residual * outward).sum(axis=1), weights=weights))
+        shown = CONSISTENT * float(np.einsum("n,ni,nij,nj->", trust, residual, alone, residual)) / free
+        extra = max(0.0, (shown - 2.0 * float(trust.sum())) / float(np.einsum("n,nii->", trust, alone)))
+    learnt = extra / (extra + 0.5 * float(np.mean(np.trace(own, axis1=1, axis2=2))))
+    wider = 1.0 + 2.0 * learnt / (degrees - 2)  # t with f degrees of freedom: variance f / (f - 2)
     everything = np.full((part.count, 2), np.nan)
     everything[found] = residual
     return PatternFit(
         centre_mm=pose[:2],
         clocking_rad=float(wrap_rad(pose[2:])[0]),
-        covariance=np.linalg.inv(matrix),
-        diameter_mm=part.circle_diameter_mm + 2.0 * radial,
+        covariance=wider * np.linalg.inv(matrix[:3, :3]),
+        diameter_mm=part.circle_diameter_mm + 2.0 * float(np.linalg.solve(matrix, pull)[3]),
         residuals_mm=everything,
     )

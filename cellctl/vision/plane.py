@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.vision.columns import Column, Columns, inner, total
+from cellctl.vision.flatness import flatness_mm
 from cellctl.vision.geometry import Array, PlaneFrame, unit
 from cellctl.vision.part import FaceFit, Refused
 
@@ -126,9 +127,10 @@ def refit(points: Array, start: Plane, tau_mm: float) -> Plane:
     return Plane(normal, distance, sigma, near)
 
 
-def fit_face(points: Columns, start: Plane, toward: Array) -> FaceFit:
+def fit_face(points: Columns, start: Plane, toward: Array, area: Columns | None = None) -> FaceFit:
     """The face as a result: plane refitted on `points` of the face alone, normal on the side of `toward` (3,).
 
+    Flatness is told by `area`, points of the face's area whether they lie near its plane or not, else by `points`.
     The covariance is the white-noise one times the inflation seen in blocks of 6 mm (neighbouring pixels share
     noise). Raises Refused face_not_found with fewer than 50 points.
     """
@@ -152,13 +154,16 @@ def fit_face(points: Columns, start: Plane, toward: Array) -> FaceFit:
     # height above the plane at (u, v) = offset - tilt1 * u + tilt0 * v, right-handed about the two tangents
     u, v = on.x - np.float32(middle[0]), on.y - np.float32(middle[1])
     spread = np.array([[float(len(on)), 0.0, 0.0], [0.0, inner(v, v), -inner(u, v)], [0.0, -inner(u, v), inner(u, u)]])
+    covariance = sigma**2 * inflation * np.linalg.inv(spread)
+    area = points.take(np.s_[:: max(1, len(points) // THINNED)]) if area is None else area
+    shared = float(np.sqrt(covariance[0, 0] * min(len(on), len(area))))
     return FaceFit(
         point_mm=point,
         normal=frame.axes[2],
         tilt_axes=frame.axes[:2],
-        covariance=sigma**2 * inflation * np.linalg.inv(spread),
+        covariance=covariance,
         sigma_mm=sigma,
-        flatness_mm=_flatness(height, _blocks(on, 2.0 * BLOCK_MM), sigma * np.sqrt(inflation)),
+        flatness_mm=flatness_mm(area.into(frame), sigma, shared),
         points=len(on),
         inliers=len(on) / len(points),
     )
@@ -239,15 +244,3 @@ def _inflation(height: Column, blocks: tuple[NDArray[np.int32], tuple[int, int]]
         scatter.append((first - second)[both] ** 2 / (1.0 / n1[both] + 1.0 / n2[both]))
     values = np.concatenate(scatter)
     return max(1.0, float(values.mean()) / sigma_mm**2) if len(values) >= 5 else 1.0
-
-
-def _flatness(height: Column, blocks: tuple[NDArray[np.int32], tuple[int, int]], sigma_mm: float) -> float:
-    """Peak-to-valley of the block means, less what noise alone (`sigma_mm` as if white) gives them."""
-    means, counts = _block_means(height, blocks)
-    good = np.isfinite(means)
-    if np.count_nonzero(good) < 3:
-        return 0.0
-    span = float(np.ptp(means[good]))
-    noise = sigma_mm / np.sqrt(float(np.median(counts[good])))
-    expected = 2.0 * noise * np.sqrt(2.0 * np.log(np.count_nonzero(good)))  # range of n normal values
-    return float(np.sqrt(max(span**2 - expected**2, 0.0)))

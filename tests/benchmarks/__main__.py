@@ -1,74 +1,94 @@
-"""CPU of one whole run without its camera, of one render and of one measurement, as ratios.
+"""Benchmarks as ratios within one run: `python -m tests.benchmarks [--only PART] [--seeds N] [--docs FOLDER]`.
 
-The unit is the time of one pass over 0.5 M points on the same machine in the same minute, so that figures of different
-machines can be compared.
+Each part replaces its own entry in FOLDER/figures/bench.json; the document and the plot beside it are written from that
+file. `make bench` compiles the PCL pipeline first. Parts: time, bolts and studs (see `timing`), accuracy, bound,
+stress, run.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from statistics import median
-from typing import Any, TypeVar
+import argparse
+import json
+import resource
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
 
-import numpy as np
+from cellctl.studies.figures import provenance
+from tests.benchmarks import accuracy, against_bound, stress, timing
+from tests.benchmarks.pipelines import PCL, ROOT
+from tests.benchmarks.report import plot, report
+from tests.benchmarks.whole_run import whole_run
 
-from cellctl.recipe import load_recipe
-from cellctl.runner import with_twin
-from hal.config import load_cell
-from tests.journeys.twin_runs import CELL, RECIPE, RememberedJobs, assembled, told
-
-T = TypeVar("T")
-POINTS = 500_000
-SEED = 3
-
-
-class ListedJobs(RememberedJobs):
-    """Remembers results, and the first call of each function, by the function's name."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.calls: dict[str, Callable[[], Any]] = {}
-
-    async def run(self, func: Callable[..., T], *args: Any, latency_s: float) -> T:
-        """See `hal.jobs.Jobs.run`."""
-        name = getattr(func, "func", func).__name__
-        self.calls.setdefault(name, lambda: func(*args))
-        return await super().run(func, *args, latency_s=latency_s)
+Part = Callable[[Path], dict[str, Any]]
+ACCURACY_SEEDS, STRESS_SEEDS = 5, 30
+BOUND_CLOUDS = {100_000: 100, 300_000: 50, 1_000_000: 20}
 
 
-def cpu_s(do: Callable[[], object], times: int) -> float:
-    """Median CPU seconds of `do`, of all threads together."""
-    taken = []
-    for _ in range(times):
-        begin = time.process_time()
-        do()
-        taken.append(time.process_time() - begin)
-    return median(taken)
+def parts(seeds: int | None, first: int) -> dict[str, Part]:
+    """All of them by name; each gets a folder for its clouds."""
+    return {
+        "time": timing.over_points,
+        "bolts": timing.over_bolts,
+        "studs": timing.on_studs,
+        "accuracy": partial(accuracy.over_seeds, seeds=seeds or ACCURACY_SEEDS),
+        "bound": partial(bound, seeds=seeds, first=first),
+        "stress": partial(stress.over_seeds, seeds=seeds or STRESS_SEEDS, first=first),
+        "run": whole_run,
+    }
 
 
-def main() -> None:
-    """Print the table."""
-    recipe, jobs = load_recipe(RECIPE), ListedJobs()
-    config = with_twin(load_cell(CELL), points=POINTS)
+def bound(work: Path, seeds: int | None, first: int) -> dict[str, Any]:
+    """Accuracy in units of the bound at each number of points, see `against_bound`."""
+    return {"sizes": [
+        against_bound.over_seeds(points, seeds or clouds, first) for points, clouds in BOUND_CLOUDS.items()
+    ]}  # fmt: skip
 
-    def run() -> None:
-        outcome = assembled(recipe, config, seed=SEED, jobs=jobs)
-        if outcome.verdict != "accepted":
-            raise SystemExit(f"seed {SEED} is not a nominal run: {told(outcome)}")
 
-    run()  # from now on the clouds and measurements of this seed are known
-    points = np.random.default_rng(SEED).normal(size=(POINTS, 3)).astype(np.float32)
-    unit_s = cpu_s(lambda: points.astype(np.float64).sum(axis=0), 15)
-    print(f"unit: one pass over {POINTS} points, {unit_s * 1e3:.2f} ms")
-    for name, do, times in (
-        ("whole run without camera", run, 3),
-        ("one render", jobs.calls["render"], 3),
-        ("one measurement", jobs.calls["measure_part"], 3),
-    ):
-        seconds = cpu_s(do, times)
-        print(f"{name:26} {seconds / unit_s:8.0f} units {seconds:8.3f} s")
+def cpu_s() -> float:
+    """CPU seconds of this process and of those that it has waited for."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command."""
+    known = sorted(parts(None, 0))
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
+    parser.add_argument("--only", action="append", choices=known)
+    parser.add_argument("--seeds", type=int, help="clouds of accuracy, bound and stress")
+    parser.add_argument("--first", type=int, default=0, help="first seed of bound and stress")
+    parser.add_argument("--docs", type=Path, default=ROOT / "docs")
+    args = parser.parse_args(argv)
+    if not PCL.exists():
+        parser.error(f"{PCL.relative_to(ROOT)} is missing: `make bench` compiles it")
+    path = args.docs / "figures" / "bench.json"
+    figures = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    for name, part in parts(args.seeds, args.first).items():
+        if args.only and name not in args.only:
+            continue
+        print(f"{name} ...", flush=True)
+        begin_s = cpu_s()
+        with tempfile.TemporaryDirectory() as folder:
+            result = part(Path(folder))
+        given = [f"--{one} {getattr(args, one)}" for one in ("seeds", "first") if getattr(args, one)]
+        command = f'make bench ARGS="{" ".join(["--only", name, *given])}"'
+        figures[name] = provenance([command], ROOT) | {"cpu_s": cpu_s() - begin_s, "result": result}
+        _write(path, figures)
+    print(report(figures))
+    return 0
+
+
+def _write(path: Path, figures: dict[str, Any]) -> None:
+    """Figures, document and plot."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    (path.parent / "bench_time.svg").write_text(plot(figures), encoding="utf-8")
+    (path.parents[1] / "benchmarks.md").write_text(report(figures), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

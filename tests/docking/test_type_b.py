@@ -72,6 +72,21 @@ def test_stage_and_table_pass_through() -> None:
     assert np.degrees(sigma[2]) == pytest.approx(0.003)
 
 
+def test_an_eccentric_encoder_acts_over_the_turn() -> None:
+    stage = calibration().stage.model_copy(update={"sigma_position_mm": 0.0, "sigma_encoder_deg": 0.003})
+    for turn, expected in ((0.0, 0.0), (0.1, 0.003 * np.radians(0.1)), (60.0, 0.003), (180.0, 0.006)):
+        sigma = np.sqrt(np.diag(covariance(AxesPosition(0, 0, 0, turn), stage=stage)))
+        assert np.degrees(sigma[2]) == pytest.approx(expected, rel=1e-3, abs=1e-12)
+        assert sigma[:2].max() < 1e-9
+
+
+def test_the_jack_turns_what_it_carries() -> None:
+    line = calibration().jack_line.model_copy(update=STILL | {"sigma_roll_deg": 0.002})
+    sigma = np.sqrt(np.diag(covariance(jack_line=line)))
+    assert np.degrees(sigma[2]) == pytest.approx(0.002)
+    assert sigma[:2].max() < 1e-9
+
+
 def test_the_scale_of_the_scanner_cancels_between_the_two_views() -> None:
     scanner = calibration().scanner.model_copy(update={"sigma_scale": 1e-3, "sigma_ripple_mm": 0.0})
     assert np.sqrt(np.diag(covariance(scanner=scanner)))[:2].max() < 1e-4

@@ -85,6 +85,18 @@ def test_fit_is_exact_without_noise_and_its_covariance_honest_with() -> None:
     assert 0.85 < np.mean(errors) < 1.25
 
 
+@pytest.mark.parametrize("count", [3, 4, 6, 12])
+def test_a_few_features_do_not_make_the_covariance_too_sure(count: int) -> None:
+    part = replace(SHAFT, angles_deg=tuple(360.0 * i / count for i in range(count)), diameter_mm=None)
+    rng, ratios = np.random.default_rng(5), []
+    for _ in range(400):
+        noisy = nominal(part) + rng.normal(0, np.hypot(0.004, 0.01), (count, 2))
+        fitted = fit_pattern(part, noisy, np.tile(0.004**2 * np.eye(2), (count, 1, 1)), 0.0)
+        error = np.array([*fitted.centre_mm, fitted.clocking_rad])
+        ratios.append(error @ np.linalg.inv(fitted.covariance) @ error / 3)
+    assert 0.7 < np.mean(ratios) < 1.3
+
+
 def test_circle_diameter_is_measured() -> None:
     scaled = placed(FLANGE, (0.0, 0.0), 0.0) * 1.001
     fitted = fit_pattern(FLANGE, scaled, np.tile(1e-6 * np.eye(2), (7, 1, 1)), 0.0)

@@ -1,0 +1,92 @@
+"""How much the face looks as if the pattern's holes were where a pose says: what tells rival poses apart.
+
+A void of about the right size is found in many a patch of missing points. A hole's outline is round, all around, and in
+its place; and where points of the face cover its place, there is none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cellctl.vision.geometry import Array
+from cellctl.vision.outline import PLACE_SIGMA_MM, Outline, fit_outlines
+from cellctl.vision.part import Part
+from cellctl.vision.pattern import PatternPose, fit_pattern, nominal
+
+ROUND = 0.6  # scatter of an outline, in spacings, that halves the likeness
+PLACED = 1.0  # distance from the place, in spacings, that does
+CLOSED = 0.25  # share of the disk that points cover where there is no hole
+
+
+def by_likeness(
+    poses: list[PatternPose], uv: Array, part: Part, radii_mm: Array, spacing_mm: float
+) -> list[PatternPose]:
+    """The poses with the likeness of their holes as score, best first, each moved to where the outlines have it.
+
+    Each hole counts 1 for a perfect outline at its place, 0 for none seen, -1 for a closed face. `uv` (N, 2) are the
+    face's points with its edges, `radii_mm` (P, n) about the holes' radii in each pose. A place that several poses have
+    is looked at once, so that only what they have not in common makes the difference.
+    """
+    placed = [pose.centre_mm + nominal(part) @ _turn(pose).T for pose in poses]
+    place, which = _distinct(np.concatenate(placed), 0.5 * float(np.min(radii_mm)))
+    sizes = np.array([float(np.median(radii_mm.reshape(-1)[which == k])) for k in range(len(place))])
+    distance, owner = cKDTree(place).query(uv, distance_upper_bound=1.6 * float(np.max(sizes)))
+    near = np.flatnonzero(np.isfinite(distance))
+    outlines = fit_outlines(uv[near], np.asarray(owner)[near].astype(np.intp), place, sizes, spacing_mm)
+    judged = [
+        _judged(pose, [outlines[k] for k in own], part, spacing_mm)
+        for pose, own in zip(poses, which.reshape(len(poses), -1), strict=True)
+    ]
+    return sorted(judged, key=lambda pose: -pose.score)
+
+
+def _turn(pose: PatternPose) -> Array:
+    """Rotation (2, 2) of the part's directions into the plane's."""
+    c, s = np.cos(pose.clocking_rad), np.sin(pose.clocking_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def _distinct(places: Array, within_mm: float) -> tuple[Array, NDArray[np.intp]]:
+    """Places (k, 2) of which none lies within a distance of another, and the one of them that stands for each (n,)."""
+    chosen: list[Array] = []
+    which = []
+    for place in places:
+        apart = [float(np.hypot(*(place - other))) for other in chosen]
+        if not apart or min(apart) > within_mm:
+            apart.append(0.0)
+            chosen.append(place)
+        which.append(int(np.argmin(apart)))
+    return np.stack(chosen), np.array(which, dtype=np.intp)
+
+
+def _judged(pose: PatternPose, outlines: list[Outline | None], part: Part, spacing_mm: float) -> PatternPose:
+    """One pose with its score; the distance of an outline from its place is that to the pattern fitted to them all."""
+    centres, covariances = np.full((part.count, 2), np.nan), np.tile(np.eye(2), (part.count, 1, 1))
+    turn = _turn(pose)
+    for k, outline in enumerate(outlines):
+        if outline is not None and outline.fill < CLOSED:
+            centres[k] = (outline.centre_mm - pose.centre_mm) @ turn
+            covariances[k] = turn.T @ outline.covariance @ turn + PLACE_SIGMA_MM**2 * np.eye(2)
+    if np.count_nonzero(np.isfinite(centres[:, 0])) < 3:
+        return replace(pose, score=0.0)
+    fitted = fit_pattern(part, centres, covariances, 0.0)
+    misses = np.hypot(*fitted.residuals_mm.T)
+    return PatternPose(
+        centre_mm=pose.centre_mm + turn @ fitted.centre_mm,
+        clocking_rad=pose.clocking_rad + fitted.clocking_rad,
+        matched=pose.matched,
+        score=sum(_alike(outline, float(miss), spacing_mm) for outline, miss in zip(outlines, misses, strict=True)),
+    )
+
+
+def _alike(outline: Outline | None, miss_mm: float, spacing_mm: float) -> float:
+    if outline is None:
+        return 0.0
+    if outline.fill > CLOSED:
+        return -1.0
+    rough, off = outline.scatter_mm / (ROUND * spacing_mm), miss_mm / (PLACED * spacing_mm)
+    return outline.arc / (1.0 + rough**2) / (1.0 + off**2)
