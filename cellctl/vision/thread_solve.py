@@ -19,6 +19,8 @@ from cellctl.vision.thread_surface import TIP, Array, Depths, Indices, Rays, dep
 ROUNDS, STILL_SIGMAS = 8, 0.5
 FAR_SIGMAS = 15.0
 """Points farther from the stud than this are left out once the fit is near."""
+LEARNERS = 8000
+"""Points whose residuals say how noisy the scan is."""
 WHITE = Correlation(0.0, 1.0)
 
 
@@ -48,19 +50,19 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
     counts as white. How much studs lean is learnt from all of them.
     """
     own, shared, law = near(rays, start)
-    organised = pixels is not None and len(shape) == 2
-    known, priors, factor = (start.own, start.shared), start.priors, 1.0
     whole = depths(rays, own, shared, start.form)
-    law = learn(whole, law, shared)
+    law = learn(whole.take(slice(None, None, max(1, len(rays.stud) // LEARNERS))), law, shared)
     weights, sigmas = tukey(whole, law)
     used = np.flatnonzero((whole.surface < TIP) & (np.abs(whole.ahead_mm) < FAR_SIGMAS * sigmas))
-    some, met = rays.take(used), whole.take(used)
-    places = pixels[used] if pixels is not None and organised else None
-    correlation = _correlation(met, law, places, shape)
+    some, met, robust = rays.take(used), whole.take(used), (weights[used], sigmas[used])
+    places = pixels[used] if pixels is not None and len(shape) == 2 else None
+    correlation = _correlation(met, *robust, places, shape)
+    known, priors, factor = (start.own, start.shared), start.priors, 1.0
     for turn in range(ROUNDS):
         if turn:
             met = depths(some, own, shared, start.form)
-        rows, kept, square = _independent(met, law, some.stud, places, shape, correlation)
+            robust = tukey(met, law)
+        rows, kept, square = _independent(met, *robust, some.stud, places, shape, correlation)
         normal = Normal.empty(len(own))
         normal.add(rows, square, some.stud[kept])
         if turn == 0:
@@ -73,8 +75,7 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
         if turn and _still(d_own, own_covariance) and _still(d_shared[None], shared_covariance[None]):
             break
     weights[:] = 0.0
-    weights[used] = tukey(met, law)[0]
-    whole.ahead_mm[used], whole.surface[used] = met.ahead_mm, met.surface
+    weights[used], whole.ahead_mm[used], whole.surface[used] = robust[0], met.ahead_mm, met.surface
     return Solution(
         own, shared, own_covariance, shared_covariance, whole.ahead_mm, weights, law, whole.surface, correlation
     )
@@ -92,20 +93,20 @@ def _with_lean(priors: Priors, lean_rad: float) -> Priors:
     return replace(priors, own=own)
 
 
-def _correlation(met: Depths, law: NoiseLaw, pixels: Indices | None, shape: tuple[int, ...]) -> Correlation:
+def _correlation(
+    met: Depths, weights: Array, sigmas: Array, pixels: Indices | None, shape: tuple[int, ...]
+) -> Correlation:
     """What the residuals of neighbouring pixels share."""
-    weights, sigmas = tukey(met, law)
     kept = np.flatnonzero(weights > 0.1)
     grid = PixelGrid.of(pixels[kept], shape) if pixels is not None else None
     return WHITE if grid is None else estimate(grid, (met.ahead_mm / sigmas)[kept])
 
 
 def _independent(
-    met: Depths, law: NoiseLaw, stud: Indices, pixels: Indices | None, shape: tuple[int, ...],
+    met: Depths, weights: Array, sigmas: Array, stud: Indices, pixels: Indices | None, shape: tuple[int, ...],
     correlation: Correlation,
 ) -> tuple[Array, Indices, Array]:  # fmt: skip
     """Rows freed from the noise that neighbouring pixels share, which points they belong to, and their weights."""
-    weights, sigmas = tukey(met, law)
     rows = rows_of(met, sigmas)
     if correlation.length_px == 0.0 or pixels is None:
         return rows, np.arange(len(stud)), weights
