@@ -5,18 +5,20 @@ Some points bring the fit near; all points decide.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.vision.correlation import Correlation, PixelGrid, Whitener, estimate
 from cellctl.vision.thread_noise import NoiseLaw, learn, tukey
-from cellctl.vision.thread_normal import Normal, Priors, lean_sigma
+from cellctl.vision.thread_normal import Normal, lean_sigma
 from cellctl.vision.thread_start import Start, near, rows_of
 from cellctl.vision.thread_surface import TIP, Array, Depths, Indices, Rays, depths
 
-ROUNDS, STILL_SIGMAS = 8, 0.5
+ROUNDS, STILL_SIGMAS, LEARNING = 8, 0.5, 3
+"""Most steps; which are too small to matter; how many of the first teach how far studs lean, which a start on some of
+the points exaggerates."""
 FAR_SIGMAS = 15.0
 """Points farther from the stud than this are left out once the fit is near."""
 LEARNERS = 8000
@@ -68,11 +70,12 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
         if turn == 0:
             if places is not None:
                 factor = normal.excess(rows, square, some.stud[kept], _tiles(places[kept], shape), priors)
-            priors = _with_lean(priors, lean_sigma(normal, own, known[0], priors, factor))
+        if turn < LEARNING:
+            priors = start.priors.leaning(lean_sigma(normal, own, known[0], start.priors, factor))
         d_own, d_shared = normal.step((own, shared), known, priors)
         own, shared = own + np.clip(d_own, -0.1, 0.1), shared + np.clip(d_shared, -0.05, 0.05)
         own_covariance, shared_covariance = (factor * part for part in normal.covariance(priors))
-        if turn and _still(d_own, own_covariance) and _still(d_shared[None], shared_covariance[None]):
+        if turn >= LEARNING - 1 and _still(d_own, own_covariance) and _still(d_shared[None], shared_covariance[None]):
             break
     weights[:] = 0.0
     weights[used], whole.ahead_mm[used], whole.surface[used] = robust[0], met.ahead_mm, met.surface
@@ -85,12 +88,6 @@ def _still(steps: Array, covariances: Array) -> bool:
     """Whether steps (n, k) are small beside what is known (n, k, k), but for a stud that does not fit."""
     sigmas = np.sqrt(np.einsum("nkk->nk", covariances))
     return bool(np.mean(np.max(np.abs(steps) / sigmas, axis=1) < STILL_SIGMAS) > 0.9)
-
-
-def _with_lean(priors: Priors, lean_rad: float) -> Priors:
-    own = priors.own.copy()
-    own[2:4] = lean_rad
-    return replace(priors, own=own)
 
 
 def _correlation(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.vision.thread_noise import SURELY_FLANK, NoiseLaw, learn, misfit, on_thread, scale_of, tukey
-from cellctl.vision.thread_normal import Normal, Priors
+from cellctl.vision.thread_normal import Normal, Priors, lean_sigma
 from cellctl.vision.thread_surface import FLANK, PITCH, RADIUS, Array, Depths, Form, Rays, depths
 
 HELD_MM, HELD_ROUNDS = 1e-3, 4
@@ -55,13 +55,16 @@ def near(rays: Rays, start: Start) -> tuple[Array, Array, NoiseLaw]:
     """Own and shared parameters near the optimum, and the law of the noise, from some of the points."""
     some = rays.take(thinned(rays.stud, max(ROUGH_POINTS, ROUGH_TOTAL // len(start.own))))
     few = some.take(thinned(some.stud, max(ROUGH_POINTS // 2, ROUGH_TOTAL // 2 // len(start.own))))
-    own, shared, law = approach(few, start, start.own, start.shared, 0.25)
-    own, shared, law = _tried_again(some, start, own, shared, law)
-    own, shared, law = _other_radius(some, start, own, shared, law)
-    law = learn(depths(some, own, shared, start.form), law, shared)
+    loose = replace(start, priors=replace(start.priors, own=start.priors.own * LOOSER))
+    own, shared, law = approach(few, loose, start.own, start.shared, 0.25)
+    own, shared, law = _tried_again(some, loose, own, shared, law)
+    own, shared, law = _other_radius(some, loose, own, shared, law)
+    law = learn(met := depths(some, own, shared, start.form), law, shared)
+    lean_rad = lean_sigma(_normal(met, law, some.stud, len(own)), own, start.own, start.priors, 1.0)
+    leaning = replace(start, priors=start.priors.leaning(lean_rad))
     wide = WIDE * law.scale_mm if law.growth < 1.0 else 0.0
-    own, shared, law = approach(some, start, own, shared, wide, law=law, rounds=6, held=0)
-    return _tried_again(some, start, own, shared, law)
+    own, shared, law = approach(some, leaning, own, shared, wide, law=law, rounds=6, held=0)
+    return _tried_again(some, leaning, own, shared, law)
 
 
 def thinned(stud: NDArray[np.intp], most: int) -> NDArray[np.intp]:
@@ -78,12 +81,11 @@ def approach(
 ) -> tuple[Array, Array, NoiseLaw]:  # fmt: skip
     """Gauss-Newton with Tukey weights whose scale falls from `scale_mm` to what the residuals show."""
     held_priors = replace(start.priors, shared=np.minimum(start.priors.shared, HELD_MM))
-    free_priors = replace(start.priors, own=start.priors.own * LOOSER)
     known, law = (start.own, start.shared), law or NoiseLaw(scale_mm, SURELY_FLANK * float(start.shared[PITCH]))
     for turn in range(rounds):
         met = depths(rays, own, shared, start.form)
         law = scale_of(met, law, scale_mm * 0.5**turn if turn < 4 else 0.0)
-        priors = held_priors if turn < held else free_priors
+        priors = held_priors if turn < held else start.priors
         d_own, d_shared = _normal(met, law, rays.stud, len(own)).step((own, shared), known, priors)
         own, shared = own + np.clip(d_own, -0.3, 0.3), shared + np.clip(d_shared, -0.1, 0.1)
         if turn > held + 1 and float(np.mean(np.abs(d_own[:, [0, 1, 4]]) < STILL_MM)) > MOST:
