@@ -16,11 +16,11 @@ from cellctl.vision import outliers
 from cellctl.vision.cloud import as_cloud
 from cellctl.vision.columns import Columns
 from cellctl.vision.contradictions import (
-    check_closed,
+    bare_places,
+    check_absent,
     check_hole_sizes,
     check_off_place,
     check_outlines,
-    many_missing,
     off_place_mm,
 )
 from cellctl.vision.face import Face, before_the_eye, find_face
@@ -87,7 +87,7 @@ def measure_part(
         seen = _sight(scan, found, part, part, pinhole, eye)
     face, frame = seen.face, seen.frame
     fitted, features = _fit_pattern(seen.features, frame, part)
-    _check_part(scan, found, seen, features, part)
+    _check_part(scan, found, seen, features, fitted, part)
     _known_well_enough(fitted, found)
     quality = _quality(scan, seen.places, face, frame, found, features, fitted, seen_from)
     _check(quality, features, part, gates)
@@ -264,13 +264,18 @@ def _fit_pattern(
     return fitted, tuple(kept)
 
 
-def _check_part(scan: Columns, found: Face, seen: _Sighting, features: tuple[FeatureFit, ...], part: Part) -> None:
+def _check_part(
+    scan: Columns, found: Face, seen: _Sighting, features: tuple[FeatureFit, ...], fitted: PatternFit, part: Part
+) -> None:
     """What speaks against this being the part of the recipe. Raises Refused wrong_part."""
     if part.feature == "hole":
         check_hole_sizes(part, seen.walls_mm, seen.face.sigma_mm)
         check_outlines(part, features)
-    if many_missing(part, features):
-        check_closed(part, features, scan, seen.frame, found.radii_mm, seen.face.sigma_mm, found.spacing_mm)
+    lost = frozenset(feature.index for feature in features if not feature.found)
+    strays = frozenset(index for index in lost if seen.features[index].found)
+    bare = bare_places(part, lost, scan, seen.frame, found.radii_mm, seen.face.sigma_mm, found.spacing_mm)
+    variances = [np.trace(item.covariance_mm2) for item in features if item.covariance_mm2 is not None]
+    check_absent(part, bare, strays, fitted, float(np.sqrt(np.median(variances) / 2.0)))
 
 
 def _known_well_enough(fitted: PatternFit, found: Face) -> None:
