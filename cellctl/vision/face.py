@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame
 from cellctl.vision.grid import Void, find_voids, rasterise, spacing
-from cellctl.vision.holes import EDGE_BAND, void_radii
+from cellctl.vision.holes import void_radii
 from cellctl.vision.likeness import by_likeness
+from cellctl.vision.outline import edge_band_mm
 from cellctl.vision.part import Part, Refused
 from cellctl.vision.pattern import CLEAR_MARGIN, PatternPose, blind_to_sizes, find_patterns, nominal, symmetry
 from cellctl.vision.plane import Plane, find_planes
@@ -176,7 +177,7 @@ def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part
     rivals = find_patterns(blind, positions, radii, scores, tolerance, within=max(1.0, RIVALS * part.count))
     rivals = [pattern for pattern in rivals if pattern.matched >= least]
     if part.feature == "hole" and (len(rivals) > 1 or any(pattern.matched < part.count for pattern in rivals)):
-        edge = np.abs(local.z) < max(4.0 * plane.sigma_mm, EDGE_BAND * space)
+        edge = np.abs(local.z) < edge_band_mm(plane.sigma_mm, space)
         face = np.stack([local.x[edge], local.y[edge]], axis=1, dtype=np.float64)
         sizes = [_matched_radii(part, pose, positions, radii) for pose in rivals[:MOST_RIVALS]]
         judged = by_likeness(rivals[:MOST_RIVALS], face, part, np.stack(sizes), space) if rivals else []

@@ -16,6 +16,6 @@ def type_a(jacobian: Array, residuals: Array, derivative: Array) -> Array:
     degrees = jacobian.shape[0] - jacobian.shape[1]
     variance = float(residuals @ residuals) / degrees if degrees > 0 else 0.0
     scale = np.linalg.norm(jacobian, axis=0)
-    upper = np.linalg.qr(jacobian / scale)[1]
-    root = np.linalg.solve(upper.T, (derivative / scale).T).T
-    return np.asarray(variance * (root @ root.T))
+    triangle = np.asarray(np.linalg.qr(jacobian / scale, mode="r"))
+    root = np.linalg.solve(triangle.T, (derivative / scale).T)
+    return np.asarray(variance * (root.T @ root))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from cellctl.vision.fit.result import Array, FitError
-from cellctl.vision.fit.search import Shape, candidates, distinct, upright
+from cellctl.vision.fit.search import Shape, candidates, distinct, sample, upright
 from cellctl.vision.fit.solve import EPS, Model, descend, determined
 
 POWERS = (2, 4, 8, 16)
@@ -46,17 +46,9 @@ def narrowest(shape: Shape, local: Array, flat: float) -> Band:
 
     Raises FitError where the band could be moved or where it is no narrower than the `flat` one of infinite radius.
     """
+    best = None
     with np.errstate(all="ignore"):  # candidates far off may overflow and are dropped
-        placed = [_about(shape.model, local @ frame.T, frame, x) for frame, x in candidates(shape, local)]
-        frames, x = np.concatenate([f for f, _ in placed]), np.concatenate([x for _, x in placed])
-        for power in POWERS:
-            points = local @ np.swapaxes(frames, 1, 2)
-            widest = np.abs(shape.model(points, x)[0]).max(axis=1)
-            x, _ = descend(partial(_raised, shape.model, power, widest), points, x, ROUNDS)
-            frames, x = upright(shape, frames, x)
-        spans = np.ptp(shape.model(local @ np.swapaxes(frames, 1, 2), x)[0], axis=1)
-        best = None
-        for frame, start in distinct(shape, local, frames, x, spans):
+        for frame, start in _starts(shape, local):
             points = local @ frame.T
             if best is None or np.ptp(shape.model(points, start)[0]) < HOPE * best.width:
                 band = _programmes(shape.model, points, frame, start)
@@ -66,6 +58,22 @@ def narrowest(shape: Shape, local: Array, flat: float) -> Band:
     if not determined(best.jacobian) or best.width >= flat * (1.0 - 1e-6):
         raise FitError(f"the points do not determine a {shape.name}: a band moved or flattened is no wider")
     return best
+
+
+def _starts(shape: Shape, local: Array) -> list[tuple[Array, Array]]:
+    """Frames and parameters near the lowest bands, the lowest first."""
+    points = sample(local)
+    placed = [_about(shape.model, points @ frame.T, frame, x) for frame, x in candidates(shape, local)]
+    if not placed:
+        return []
+    frames, x = np.concatenate([frames for frames, _ in placed]), np.concatenate([x for _, x in placed])
+    for power in POWERS:
+        turned = points @ np.swapaxes(frames, 1, 2)
+        widest = np.abs(shape.model(turned, x)[0]).max(axis=1)
+        x, _ = descend(partial(_raised, shape.model, power, widest), turned, x, ROUNDS)
+        frames, x = upright(shape, frames, x)
+    spans = np.ptp(shape.model(points @ np.swapaxes(frames, 1, 2), x)[0], axis=1)
+    return distinct(shape, points, frames, x, spans)
 
 
 def _about(model: Model, points: Array, frame: Array, x: Array) -> tuple[Array, Array]:
@@ -93,20 +101,18 @@ def _raised(model: Model, power: int, widest: Array, points: Array, x: Array) ->
 def _programmes(model: Model, points: Array, frame: Array, start: Array, *, limit: int = 200) -> Band:
     """The band near `start`: each round minimises the span of the linearised distances within a box, which grows when
     the model was right and shrinks when it was not."""
-    x, stopped = start.copy(), "limit"
+    x, stopped, ended = start.copy(), "limit", limit
     values, jacobian = model(points, x)
     span = float(np.ptp(values))
     radius = 2.0 * span + 1e-9
-    rounds = 0
-    while rounds < limit:
-        rounds += 1
+    for rounds in range(limit):
         rounding = 8.0 * EPS * (1.0 + float(np.abs(x).max()))
         step, predicted = _programme(values, jacobian[:, :-1], radius, max(span, rounding))
         gain = span - predicted
         if not np.isfinite(gain):
             break
         if gain <= 1e-12 * span + rounding or radius < 1e-14:
-            stopped = "converged"
+            stopped, ended = "converged", rounds
             break
         trial = x + np.append(step, 0.0)
         new_values, new_jacobian = model(points, trial)
@@ -116,7 +122,7 @@ def _programmes(model: Model, points: Array, frame: Array, start: Array, *, limi
             x, values, jacobian, span = trial, new_values, new_jacobian, new_span
         radius *= 2.0 if ratio > 0.75 else (0.3 if ratio < 0.25 else 1.0)
     middle = 0.5 * float(values.max() + values.min())
-    return Band(frame, x + np.append(0.0 * x[1:], middle), values - middle, jacobian, rounds, stopped)
+    return Band(frame, x + np.append(0.0 * x[1:], middle), values - middle, jacobian, ended, stopped)
 
 
 def _programme(values: Array, jacobian: Array, radius: float, span: float) -> tuple[Array, float]:

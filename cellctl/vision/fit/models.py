@@ -1,8 +1,8 @@
 """Signed distances from circle, sphere, cylinder and cone with their derivatives, for many candidates at once.
 
 A model takes points (..., n, 3) and parameters (..., p) with equal leading axes and gives residuals (..., m) and
-Jacobian (..., m, p). An axis is four parameters: x, y where it pierces the plane z = 0 and two slopes, in a frame whose
-third axis is near it (Forbes, NPL report DITC 140/89; Shakarji, J. Res. NIST 103 (1998) 633).
+Jacobian (..., m, p). An axis is four parameters: x, y where it pierces the plane z = 0 and two slopes, in a frame
+whose third axis is near it (Forbes, NPL report DITC 140/89; Shakarji, J. Res. NIST 103 (1998) 633).
 """
 
 from __future__ import annotations

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellctl.vision.fit.result import Array, FitError, frame_of
-from cellctl.vision.fit.solve import EPS, Minimum, Model, descend, determined, settle
+from cellctl.vision.fit.solve import Minimum, Model, descend, determined, settle
 
 TURNS = 3
 ROUNDS = 12
 """Coarse rounds from every start, that many times, the frame turned upright after each."""
 SETTLED = 4
 """Candidates that are taken to the bottom: the least ones after the coarse rounds that are not alike."""
-LONG, SHORT = 100, 20
-"""Steps granted to the least candidate and to the others, which have little hope."""
+LONG, SHORT, STRIDE = 300, 60, 20
+"""Steps granted to the least candidate and to the others, which have little hope, and before the frame is turned."""
 SAMPLE = 200
 """Points that are enough to choose between starts."""
 
@@ -80,12 +80,17 @@ def _best(shape: Shape, local: Array) -> tuple[Array, Minimum] | None:
 
 def candidates(shape: Shape, local: Array) -> list[tuple[Array, Array]]:
     """Frames and parameters near the lowest minima, the lowest first."""
-    sample = local[:: -(-len(local) // SAMPLE)]
-    frames, x = shape.starts(sample)
+    points = sample(local)
+    frames, x = shape.starts(points)
     for _ in range(TURNS):
-        x, costs = descend(shape.model, sample @ np.swapaxes(frames, 1, 2), x, ROUNDS)
+        x, costs = descend(shape.model, points @ np.swapaxes(frames, 1, 2), x, ROUNDS)
         frames, x = upright(shape, frames, x)
-    return distinct(shape, sample, frames, x, costs)
+    return distinct(shape, points, frames, x, costs)
+
+
+def sample(local: Array) -> Array:
+    """Some of many points, evenly; all of few."""
+    return local[:: -(-len(local) // SAMPLE)]
 
 
 def distinct(shape: Shape, points: Array, frames: Array, x: Array, costs: Array) -> list[tuple[Array, Array]]:
@@ -103,23 +108,25 @@ def distinct(shape: Shape, points: Array, frames: Array, x: Array, costs: Array)
 
 def _lower(one: Minimum, other: Minimum) -> bool:
     """Whether `one` is the lower minimum, or the settled one of two alike."""
-    rounding = 1e-9 * other.cost + len(one.residuals) * (100.0 * EPS) ** 2
-    if abs(one.cost - other.cost) <= rounding:
+    if abs(one.cost - other.cost) <= 10.0 * other.rounding:
         return one.stopped == "converged" and other.stopped != "converged"
     return one.cost < other.cost
 
 
 def _settled(shape: Shape, local: Array, frame: Array, start: Array, limit: int) -> tuple[Array, Minimum]:
-    """The minimum near `start`, in a frame turned until its third axis is the one found."""
-    found = settle(shape.model, local @ frame.T, start, limit)
-    for _ in range(2 * TURNS if shape.angles else 0):
+    """The minimum near `start` within `limit` steps, in a frame turned until its third axis is the one found."""
+    found = settle(shape.model, local @ frame.T, start, min(limit, STRIDE))
+    while shape.angles:
+        limit -= found.iterations + 1
         slopes = np.abs(found.parameters[2:4]).max()
         (frame,), (x,) = upright(shape, frame[None], found.parameters[None])
         if slopes < 1e-9:  # nothing but rounding is left to move
             residuals, jacobian = shape.model(local @ frame.T, x)
             return frame, replace(found, parameters=x, residuals=residuals, jacobian=jacobian)
-        found = settle(shape.model, local @ frame.T, x, limit)
-    return frame, replace(found, stopped="limit") if shape.angles else found
+        if limit <= 0:
+            return frame, replace(found, stopped="limit")
+        found = settle(shape.model, local @ frame.T, x, min(limit, STRIDE))
+    return frame, found
 
 
 def upright(shape: Shape, frames: Array, x: Array) -> tuple[Array, Array]:

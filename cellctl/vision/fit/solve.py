@@ -35,6 +35,12 @@ class Minimum:
         """Sum of squares."""
         return float(self.residuals @ self.residuals)
 
+    @property
+    def rounding(self) -> float:
+        """What of the cost is rounding."""
+        error = 4.0 * EPS * (1.0 + float(np.abs(self.parameters).max())) * np.sqrt(len(self.residuals))
+        return float(error * (np.sqrt(self.cost) + error))
+
 
 def descend(model: Model, points: Array, starts: Array, rounds: int) -> tuple[Array, Array]:
     """Levenberg-Marquardt from many starts (b, p) on points (b, n, 3): parameters (b, p), sums of squares (b,).
@@ -49,7 +55,7 @@ def descend(model: Model, points: Array, starts: Array, rounds: int) -> tuple[Ar
         normal, gradient = turned @ jacobian, turned @ residuals[..., None]
         size = np.diagonal(normal, axis1=1, axis2=2)
         size = np.maximum(size, 1e-9 * size.max(axis=1, keepdims=True) + 1e-30)
-        np.einsum("kii->ki", normal)[...] += damping[:, None] * size
+        normal += (damping[:, None] * size)[:, None] * np.eye(x.shape[1])
         trial = x - np.linalg.solve(normal, gradient)[..., 0]
         new_residuals, new_jacobian = model(points, trial)
         new_cost = (new_residuals**2).sum(axis=1)
@@ -71,10 +77,8 @@ def settle(model: Model, points: Array, start: Array, limit: int) -> Minimum:
         scale, values, vectors = _curvature(model, points, x, residuals, jacobian)
         inside = vectors.T @ ((jacobian.T @ residuals) / scale)
         sharp = np.maximum(np.abs(values), EPS * np.abs(values).max() + TINY)
-        cost = float(residuals @ residuals)
         found = Minimum(x, residuals, jacobian, iteration, "converged")
-        error = 4.0 * EPS * (1.0 + float(np.abs(x).max())) * np.sqrt(len(residuals))  # of the length of the residuals
-        hidden = values[0] > 0.0 and float((inside**2 / sharp).sum()) <= error * (np.sqrt(cost) + error)
+        hidden = values[0] > 0.0 and float((inside**2 / sharp).sum()) <= found.rounding
         if hidden:
             size, damping = float(np.linalg.norm(inside / sharp)), 0.0
             patience -= 1 if size >= 0.5 * last else 0
@@ -84,7 +88,7 @@ def settle(model: Model, points: Array, start: Array, limit: int) -> Minimum:
         while True:
             trial = x - vectors @ (inside / (sharp + damping)) / scale
             trial_residuals, trial_jacobian = model(points, trial)
-            if hidden or float(trial_residuals @ trial_residuals) <= cost:
+            if hidden or float(trial_residuals @ trial_residuals) <= found.cost:
                 break
             damping = max(8.0 * damping, 1e-3 * float(sharp.min()))
             if damping > 1e12 * sharp.max():
