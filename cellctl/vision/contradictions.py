@@ -57,19 +57,22 @@ def check_off_place(part: Part, strays: int) -> None:
 
 
 def check_absent(
-    part: Part, absent: frozenset[int], strays: frozenset[int], fitted: PatternFit, sigma_mm: float
+    part: Part, bare: frozenset[int], before: tuple[FeatureFit, ...], after: tuple[FeatureFit, ...], fitted: PatternFit
 ) -> None:
     """Refuse (wrong_part) where features are provably not at their places, and too many or the rest fits badly.
 
-    `absent` are those at whose places the bare face is seen, `strays` those that lie off; `sigma_mm` is the usual
-    uncertainty of a feature's place.
+    `bare` are those at whose places the bare face is seen; those that the pattern does not rest on `after` all, though
+    they were found `before`, lie off.
     """
-    against = absent | strays
+    strays = frozenset(item.index for item in after if not item.found and before[item.index].found)
+    against = bare | strays
+    variances = [np.trace(item.covariance_mm2) for item in after if item.covariance_mm2 is not None]
+    usual = float(np.sqrt(np.median(variances) / 2.0))
     rough = float(np.nanmedian(np.hypot(*fitted.residuals_mm.T)))  # a few torn holes say nothing about the part
-    if len(against) > TOO_MANY * part.count or (against and rough > ROUGH_MM + 3.0 * sigma_mm):
+    if len(against) > TOO_MANY * part.count or (against and rough > ROUGH_MM + 3.0 * usual):
         raise Refused(
             "wrong_part",
-            f"{len(absent)} of {part.count} features are not there, {len(strays)} lie off their places and the others "
+            f"{len(bare)} of {part.count} features are not there, {len(strays)} lie off their places and the others "
             f"miss theirs by {rough:.2f} mm",
         )
 
