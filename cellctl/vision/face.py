@@ -249,7 +249,7 @@ def _refuse_further(
     on = np.abs(np.hypot(*(positions - pattern.centre_mm).T) - 0.5 * part.circle_diameter_mm) < tolerance_mm
     alike = (np.abs(radii - size) < 0.2 * size) & (scores > 0.8 * score)
     further = int(np.count_nonzero(on & alike & (distance > tolerance_mm + size)))
-    if further >= max(2.0, 0.25 * part.count):
+    if further >= max(3.0, 0.4 * part.count):
         raise Refused("wrong_part", f"{further} further features stand on the circle of {part.count}")
 
 
