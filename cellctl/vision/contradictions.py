@@ -6,7 +6,6 @@ One feature may be wrong on a right part and is reported; where more than a quar
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame
@@ -16,7 +15,7 @@ from cellctl.vision.pattern import PatternFit
 TOO_MANY, ROUGH_MM, BARE = 0.25, 0.1, 0.25
 """Share of the features that may speak against the part; how far the others may miss their places where one does;
 share of a feature's middle that is covered where it is not there."""
-SAMPLE, LEAST_ON_SIDES, CREST_SHARE = 100_000, 30, 0.05
+SAMPLE = 100_000
 
 
 def check_hole_sizes(part: Part, radii_mm: Array, sigma_mm: float) -> None:
@@ -44,30 +43,6 @@ def check_outlines(part: Part, features: tuple[FeatureFit, ...]) -> None:
     ratios = np.array([2.0 * f.radius_mm / part.diameter_mm[f.index] for f in features if f.radius_mm is not None])
     if len(ratios) and np.mean((ratios < 0.65) | (ratios > 1.45)) > TOO_MANY:
         raise Refused("wrong_part", f"the holes are {np.median(ratios):.2f} times as wide as the recipe says")
-
-
-def check_stud_sizes(part: Part, scan: Columns, frame: PlaneFrame, centres_mm: Array) -> None:
-    """Refuse (thread_wrong) studs whose sides do not stand at the drawn radius from their axes (n, 2), NaN if missing.
-
-    Seen from above a thread shows little but its crests: the middle of its points lies a twentieth of the pitch below
-    them. No model takes part, which would fit another size somehow.
-    """
-    size = part.thread.major_diameter_mm if part.thread else (part.diameter_mm or (None,))[0]
-    if size is None or part.length_mm is None:
-        return
-    radius, pitch = 0.5 * size, part.thread.pitch_mm if part.thread else 0.0
-    some = scan.take(slice(None, None, max(1, len(scan) // SAMPLE))).into(frame)
-    some = some.take((some.z > 0.15 * part.length_mm) & (some.z < part.length_mm - 1.5 * max(pitch, 0.25 * radius)))
-    axes = cKDTree(centres_mm[np.isfinite(centres_mm[:, 0])])
-    away = np.asarray(axes.query(np.stack([some.x, some.y], axis=1))[0])
-    away = away[away < 1.3 * radius]
-    if len(away) < LEAST_ON_SIDES:
-        return
-    seen = float(np.median(away)) + CREST_SHARE * pitch
-    if abs(seen - radius) > 0.1 + 0.03 * radius + 0.1 * pitch:
-        raise Refused(
-            "thread_wrong", f"the studs have a radius of about {seen:.2f} mm; the recipe says {radius:.2f} mm"
-        )
 
 
 def off_place_mm(part: Part) -> float:

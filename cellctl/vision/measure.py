@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 from cellctl.vision import outliers
 from cellctl.vision.cloud import as_cloud
 from cellctl.vision.columns import Columns
-from cellctl.vision.contradictions import (
-    bare_places,
-    check_absent,
-    check_hole_sizes,
-    check_outlines,
-    check_stud_sizes,
-)
+from cellctl.vision.contradictions import bare_places, check_absent, check_hole_sizes, check_outlines
 from cellctl.vision.face import Face, before_the_eye, find_face
 from cellctl.vision.flatness import inside_edges
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
@@ -87,8 +81,6 @@ def measure_part(
     if part.feature == "hole":
         check_hole_sizes(part, seen.walls_mm, face.sigma_mm)
         check_outlines(part, features)
-    else:
-        check_stud_sizes(part, scan, frame, centres_on(features, frame, part))
     lost = frozenset(feature.index for feature in features if not feature.found)
     bare = bare_places(part, lost, scan, frame, found.radii_mm, face.sigma_mm, found.spacing_mm)
     check_absent(part, bare, usable, features, fitted)

@@ -15,6 +15,7 @@ RADIUS_SHARE, RADIUS_MM = 0.02, 0.15
 """By how much a stud may differ from the recipe. Crests of class 6g lie up to 0.16 mm of radius below nominal at M16
 (ISO 965-1)."""
 ENOUGH_OF_A_TIP = 0.5
+LEAST_ON_SIDES, CREST_SHARE = 30, 0.05
 
 
 def check_length(near: Near, part: Part, least_points: int) -> None:
@@ -33,6 +34,27 @@ def check_radius(radius_mm: float, part: Part) -> None:
         return
     code = "wrong_part" if part.thread is None else "thread_wrong"
     raise Refused(code, f"the studs have a radius of {radius_mm:.2f} mm; the recipe says {expected:.2f} mm")
+
+
+def check_sides(near: Near, axes_mm: Array, part: Part) -> None:
+    """Refuse (thread_wrong) studs whose sides do not stand at the drawn radius from their axes (n, 2) at the face.
+
+    Seen from above a thread shows little but its crests: the middle of its points lies a twentieth of the pitch below
+    them. No model takes part, which would fit another size somehow.
+    """
+    expected, pitch = radius_of(part), part.thread.pitch_mm if part.thread else 0.0
+    if expected is None:
+        return
+    points, stud = near.rays.points, near.rays.stud
+    middle = (points[2] > 0.15 * near.tips[stud]) & (points[2] < near.tips[stud] - 1.5 * max(pitch, 0.25 * expected))
+    if np.count_nonzero(middle) < LEAST_ON_SIDES:
+        return
+    away = np.hypot(*(points[:2, middle] - axes_mm.T[:, stud[middle]])) - near.extra_mm[stud[middle]]
+    radius = float(np.median(away)) + CREST_SHARE * pitch
+    if abs(radius - expected) > 0.1 + 0.03 * expected + 0.1 * pitch:
+        raise Refused(
+            "thread_wrong", f"the studs have a radius of about {radius:.2f} mm; the recipe says {expected:.2f} mm"
+        )
 
 
 def check_count(local: Array, near: Near, part: Part) -> None:

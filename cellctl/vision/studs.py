@@ -9,7 +9,7 @@ from cellctl.vision.geometry import Array, PlaneFrame, Points
 from cellctl.vision.grid import spacing
 from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit, pivot
 from cellctl.vision.pattern import find_pattern, nominal
-from cellctl.vision.stud_checks import check_count, check_length, check_radius
+from cellctl.vision.stud_checks import check_count, check_length, check_radius, check_sides
 from cellctl.vision.stud_points import LEAST_HEIGHT_MM, Near, gather
 from cellctl.vision.stud_tips import find_tips, radius_of, tip_levels
 from cellctl.vision.thread_normal import Priors
@@ -63,6 +63,7 @@ def measure_studs(
     check_count(local, near, part)
     solution, form, ballot = _fit(near, part, axis_prior_deg, above.shape)
     check_radius(float(solution.shared[RADIUS]), part)
+    check_sides(near, solution.own[:, :2], part)
     return _results(solution, form, ballot, near, frame, face, part)
 
 

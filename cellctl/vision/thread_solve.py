@@ -67,9 +67,8 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
         rows, kept, square = _independent(met, *robust, some.stud, places, shape, correlation)
         normal = Normal.empty(len(own))
         normal.add(rows, square, some.stud[kept])
-        if turn == 0:
-            if places is not None:
-                factor = normal.excess(rows, square, some.stud[kept], _tiles(places[kept], shape), priors)
+        if turn == 0 and places is not None:
+            factor = normal.excess(rows, square, some.stud[kept], _tiles(places[kept], shape), priors)
         if turn < LEARNING:
             priors = start.priors.leaning(lean_sigma(normal, own, known[0], start.priors, factor))
         d_own, d_shared = normal.step((own, shared), known, priors)
