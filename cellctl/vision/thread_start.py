@@ -21,8 +21,9 @@ RADIUS_CHANGES_MM = (0.0, -0.02, 0.02, -0.05, 0.05, -0.08, 0.08, -0.12, 0.12, -0
 STILL_MM, MOST = 4e-3, 0.8
 WIDE = 4.0
 """Where rays graze, points miss by many sigma until the stud stands: the loss begins that much wider."""
-LOOSER = np.array([1.0, 1.0, 6.0, 6.0, 1.0, 1.0])
-"""Studs may lean more than drawings allow; how much is learnt in the end."""
+FAR_OUT = 4.5
+"""How many times more than drawn studs must seem to lean on some of the points to be let: noise that all points of a
+stud share looks like a lean too. A smaller one is learnt from all points."""
 POOR_SHARE, POORER = 0.3, 0.17
 """A stud is tried again where a larger share of its points does not fit, or so much more than of the usual stud."""
 
@@ -55,16 +56,16 @@ def near(rays: Rays, start: Start) -> tuple[Array, Array, NoiseLaw]:
     """Own and shared parameters near the optimum, and the law of the noise, from some of the points."""
     some = rays.take(thinned(rays.stud, max(ROUGH_POINTS, ROUGH_TOTAL // len(start.own))))
     few = some.take(thinned(some.stud, max(ROUGH_POINTS // 2, ROUGH_TOTAL // 2 // len(start.own))))
-    loose = replace(start, priors=replace(start.priors, own=start.priors.own * LOOSER))
-    own, shared, law = approach(few, loose, start.own, start.shared, 0.25)
-    own, shared, law = _tried_again(some, loose, own, shared, law)
-    own, shared, law = _other_radius(some, loose, own, shared, law)
+    own, shared, law = approach(few, start, start.own, start.shared, 0.25)
+    own, shared, law = _tried_again(some, start, own, shared, law)
+    own, shared, law = _other_radius(some, start, own, shared, law)
     law = learn(met := depths(some, own, shared, start.form), law, shared)
     lean_rad = lean_sigma(_normal(met, law, some.stud, len(own)), own, start.own, start.priors, 1.0)
-    leaning = replace(start, priors=start.priors.leaning(lean_rad))
+    if lean_rad > FAR_OUT * start.priors.own[2]:
+        start = replace(start, priors=start.priors.leaning(lean_rad))
     wide = WIDE * law.scale_mm if law.growth < 1.0 else 0.0
-    own, shared, law = approach(some, leaning, own, shared, wide, law=law, rounds=6, held=0)
-    return _tried_again(some, leaning, own, shared, law)
+    own, shared, law = approach(some, start, own, shared, wide, law=law, rounds=6, held=0)
+    return _tried_again(some, start, own, shared, law)
 
 
 def thinned(stud: NDArray[np.intp], most: int) -> NDArray[np.intp]:
