@@ -10,8 +10,11 @@ import numpy as np
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame
 from cellctl.vision.part import FeatureFit, Part, Refused
+from cellctl.vision.pattern import PatternFit
 
-TOO_MANY = 0.25
+TOO_MANY, ROUGH_MM, BARE = 0.25, 0.1, 0.25
+"""Share of the features that may speak against the part; how far the others may miss their places where one does;
+share of a feature's middle that is covered where it is not there."""
 SAMPLE = 100_000
 
 
@@ -24,7 +27,7 @@ def check_hole_sizes(part: Part, radii_mm: Array, sigma_mm: float) -> None:
         return
     drawn, seen = np.asarray(part.diameter_mm), np.isfinite(radii_mm)
     wrong = np.abs(2.0 * radii_mm - drawn) > 0.15 + 0.01 * drawn + 2.0 * sigma_mm
-    if np.count_nonzero(wrong) > TOO_MANY * np.count_nonzero(seen):
+    if np.count_nonzero(wrong) > 0.5 * np.count_nonzero(seen):
         k = int(np.flatnonzero(wrong)[0])
         raise Refused(
             "wrong_part",
@@ -53,25 +56,43 @@ def check_off_place(part: Part, strays: int) -> None:
         raise Refused("wrong_part", f"{strays} of {part.count} features lie more than {off_place_mm(part):.2f} mm off")
 
 
-def many_missing(part: Part, features: tuple[FeatureFit, ...]) -> bool:
-    """Whether so many features are missing that the part may be another one."""
-    return sum(not feature.found for feature in features) > TOO_MANY * part.count
+def check_absent(
+    part: Part, bare: frozenset[int], before: tuple[FeatureFit, ...], after: tuple[FeatureFit, ...], fitted: PatternFit
+) -> None:
+    """Refuse (wrong_part) where features are provably not at their places, and too many or the rest fits badly.
+
+    `bare` are those at whose places the bare face is seen; those that the pattern does not rest on `after` all, though
+    they were found `before`, lie off.
+    """
+    strays = frozenset(item.index for item in after if not item.found and before[item.index].found)
+    against = bare | strays
+    variances = [np.trace(item.covariance_mm2) for item in after if item.covariance_mm2 is not None]
+    usual = float(np.sqrt(np.median(variances) / 2.0))
+    rough = float(np.nanmedian(np.hypot(*fitted.residuals_mm.T)))  # a few torn holes say nothing about the part
+    if len(against) > TOO_MANY * part.count or (against and rough > ROUGH_MM + 3.0 * usual):
+        raise Refused(
+            "wrong_part",
+            f"{len(bare)} of {part.count} features are not there, {len(strays)} lie off their places and the others "
+            f"miss theirs by {rough:.2f} mm",
+        )
 
 
-def check_closed(part: Part, features: tuple[FeatureFit, ...], scan: Columns, frame: PlaneFrame, radii_mm: Array,
-                 sigma_mm: float, spacing_mm: float) -> None:  # fmt: skip
-    """Refuse (wrong_part) where the bare face is seen at the places of too many features that were not found.
+def bare_places(part: Part, lost: frozenset[int], scan: Columns, frame: PlaneFrame, radii_mm: Array,
+                sigma_mm: float, spacing_mm: float) -> frozenset[int]:  # fmt: skip
+    """Those of the `lost` features at whose places the bare face is seen.
 
     `frame` is the part's, `radii_mm` (n,) are those of the features at the face.
     """
+    if not lost:
+        return lost
     step = max(1, len(scan) // SAMPLE)
     some = scan.take(slice(None, None, step)).into(frame)
     some = some.take(np.abs(some.z) < 5.0 * sigma_mm)
-    closed = 0
-    for k in (feature.index for feature in features if not feature.found):
+    bare = set()
+    for k in sorted(lost):
         angle, reach = np.radians(part.angles_deg[k]), 0.6 * float(radii_mm[k])
         u, v = 0.5 * part.circle_diameter_mm * np.array([np.cos(angle), np.sin(angle)])
         inside = int(np.count_nonzero(np.hypot(some.x - u, some.y - v) < reach))
-        closed += inside >= max(2.0, 0.5 * np.pi * reach**2 / (step * spacing_mm**2))
-    if closed > TOO_MANY * part.count:
-        raise Refused("wrong_part", f"the face is closed at the places of {closed} of {part.count} features")
+        if inside >= max(2.0, BARE * np.pi * reach**2 / (step * spacing_mm**2)):
+            bare.add(k)
+    return frozenset(bare)

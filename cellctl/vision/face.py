@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame
 from cellctl.vision.grid import Void, find_voids, rasterise, spacing
-from cellctl.vision.holes import EDGE_BAND, void_radii
+from cellctl.vision.holes import void_radii
 from cellctl.vision.likeness import by_likeness
+from cellctl.vision.outline import edge_band_mm
 from cellctl.vision.part import Part, Refused
 from cellctl.vision.pattern import CLEAR_MARGIN, PatternPose, blind_to_sizes, find_patterns, nominal, symmetry
 from cellctl.vision.plane import Plane, find_planes
@@ -88,7 +89,7 @@ def find_face(points: Columns, part: Part, eye: Array | None, reference: Array, 
 def _thinned(points: Columns, rng: np.random.Generator) -> _Thinned:
     """Every so many-th row and column of a grid, or a random share of an unorganised cloud."""
     if points.pixels is None:
-        chosen = np.unique(rng.integers(0, len(points), 2 * THINNED_POINTS))
+        chosen = np.flatnonzero(rng.random(len(points), dtype=np.float32) < 2.0 * THINNED_POINTS / len(points))
         return _Thinned(points.take(chosen), len(chosen) / len(points), 1.4 * CELLS_PER_SPACING)
     step = int(np.ceil(np.sqrt(len(points) / THINNED_POINTS)))
     height, width = points.shape
@@ -176,7 +177,7 @@ def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part
     rivals = find_patterns(blind, positions, radii, scores, tolerance, within=max(1.0, RIVALS * part.count))
     rivals = [pattern for pattern in rivals if pattern.matched >= least]
     if part.feature == "hole" and (len(rivals) > 1 or any(pattern.matched < part.count for pattern in rivals)):
-        edge = np.abs(local.z) < max(4.0 * plane.sigma_mm, EDGE_BAND * space)
+        edge = np.abs(local.z) < edge_band_mm(plane.sigma_mm, space)
         face = np.stack([local.x[edge], local.y[edge]], axis=1, dtype=np.float64)
         sizes = [_matched_radii(part, pose, positions, radii) for pose in rivals[:MOST_RIVALS]]
         judged = by_likeness(rivals[:MOST_RIVALS], face, part, np.stack(sizes), space) if rivals else []
@@ -248,7 +249,7 @@ def _refuse_further(
     on = np.abs(np.hypot(*(positions - pattern.centre_mm).T) - 0.5 * part.circle_diameter_mm) < tolerance_mm
     alike = (np.abs(radii - size) < 0.2 * size) & (scores > 0.8 * score)
     further = int(np.count_nonzero(on & alike & (distance > tolerance_mm + size)))
-    if further >= max(2.0, 0.25 * part.count):
+    if further >= max(3.0, 0.4 * part.count):
         raise Refused("wrong_part", f"{further} further features stand on the circle of {part.count}")
 
 

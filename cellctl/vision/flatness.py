@@ -39,6 +39,8 @@ def flatness_mm(local: Columns, sigma_mm: float, shared_mm: float) -> float:
     if len(near) < 3 * LEAST_IN_BLOCK:
         return 0.0
     medians, counts, scatter = _blocks(local.take(near), sigma_mm)
+    if not np.isfinite(medians).any():
+        return 0.0
     face = _one_surface(medians, counts)
     if np.count_nonzero(face) < 3:
         return 0.0
@@ -73,7 +75,11 @@ def _blocks(local: Columns, sigma_mm: float) -> tuple[Array, NDArray[np.intp], f
     smooth = spread < STEP_MM + 2.0 * sigma_mm
     medians = np.full(size, np.nan)
     medians[enough[smooth]] = z[first + n // 2][smooth]
-    return medians.reshape(shape), counts.reshape(shape), float(np.median(spread)) / 1.349
+    return (
+        medians.reshape(shape),
+        counts.reshape(shape),
+        float(np.median(spread[smooth] if smooth.any() else 0.0)) / 1.349,
+    )
 
 
 def _one_surface(medians: Array, counts: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -85,8 +91,6 @@ def _one_surface(medians: Array, counts: NDArray[np.intp]) -> NDArray[np.bool_]:
     for place in zip(*np.nonzero(np.isfinite(medians)), strict=True):
         if not labels[place]:
             _flood(medians, labels, place, int(labels.max()) + 1)
-    if not labels.any():
-        return labels > 0
     sizes = np.bincount(labels.ravel(), counts.ravel())
     sizes[0] = 0
     main = labels == sizes.argmax()

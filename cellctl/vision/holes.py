@@ -14,7 +14,7 @@ from cellctl.vision import hole_fit, hole_model
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array
 from cellctl.vision.hole_refine import refine
-from cellctl.vision.outline import Outline, fit_outlines
+from cellctl.vision.outline import Outline, edge_band_mm, fit_outlines
 from cellctl.vision.part import Part
 from cellctl.vision.pattern import nominal
 from cellctl.vision.rim import look
@@ -25,7 +25,6 @@ MIN_ARC = 0.5
 MIN_TORN_ARC = 0.25  # where the other holes tell the radius and the shape of the edge
 MIN_EDGE_POINTS = 12
 MAX_FILL = 0.25
-EDGE_BAND = 2.5  # height of what belongs to the face at the edge of a hole without a chamfer, in spacings
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +149,7 @@ def _by_rim(around: _Around, part: Part, radii_mm: Array, sight: Sight) -> list[
 
 def _by_outline(around: _Around, part: Part, radii_mm: Array, sight: Sight) -> list[Hole]:
     """Every hole without a chamfer as its outline shows it, or missing with the reason."""
-    # at an edge a camera blurs and lifts the surface: without a chamfer to confuse it with, all of that is face
-    on = np.abs(around.points[:, 2]) < max(4.0 * sight.sigma_mm, EDGE_BAND * sight.spacing_mm)
+    on = np.abs(around.points[:, 2]) < edge_band_mm(sight.sigma_mm, sight.spacing_mm)
     centres = nominal(part)
     outlines = fit_outlines(around.points[on, :2], around.owner[on], centres, radii_mm, sight.spacing_mm, part)
     return [_judged(outlines[k], part, k, float(radii_mm[k]), centres[k]) for k in range(part.count)]
@@ -171,10 +169,10 @@ def _half_gap(centres: Array) -> float:
 
 def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float, least_arc: float) -> str:
     """Empty where the outline is that of a hole at its place, else why it is not."""
-    if outline is None:
-        return "no edge of the face was seen at the hole's place"
-    if outline.fill > MAX_FILL:
+    if outline is not None and outline.fill > MAX_FILL:
         return "the face is closed at the hole's place"
+    if outline is None or outline.arc == 0.0:
+        return "no edge of the face was seen at the hole's place"
     if outline.arc < least_arc:
         return f"only {100 * outline.arc:.0f} % of the outline was seen"
     if outline.points < MIN_EDGE_POINTS:

@@ -1,5 +1,4 @@
-"""Which hole is number 0 where the places alone do not tell: holes are measured without regard to size, then told
-apart by it.
+"""Which hole is number 0 where the places alone do not tell: each is looked at by itself for its size.
 
 The mouths of chamfered holes look alike on the face, so that only their walls say which one is larger.
 """
@@ -11,14 +10,33 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellctl.vision.columns import Columns
 from cellctl.vision.face import Face
 from cellctl.vision.geometry import Array, PlaneFrame
+from cellctl.vision.outline import edge_band_mm, fit_outlines
 from cellctl.vision.part import Part, Refused
-from cellctl.vision.pattern import symmetry
+from cellctl.vision.pattern import nominal, symmetry
+from cellctl.vision.walls import wall_radii
 
-OUTLINE_SHARE = 0.3
+OUTLINE_SHARE, CLEAR_ARC, CLOSED = 0.3, 0.5, 0.25
+"""What an outline's radius is known to, in spacings; how much of it must be seen; how much of a hole may be covered."""
 SIZE_SIGMA, SIZE_CLIP, CLEAR_COST = 0.02, 3.0, 4.0
 """One sigma of a hole's relative size, the most that one hole counts (sigmas), by how much the best turn must win."""
+
+
+def sizes_seen(near: Columns, owner: NDArray[np.intp], found: Face, part: Part) -> Array:
+    """Radius (n,) of each hole by its wall, or by its outline where none is chamfered; NaN where neither shows it.
+
+    `near` are the points around the holes in the frame of `found`, the hole of each in `owner`.
+    """
+    on = np.flatnonzero(np.abs(near.z) < edge_band_mm(found.plane.sigma_mm, found.spacing_mm))
+    uv = np.stack([near.x[on], near.y[on]], axis=1, dtype=np.float64)
+    outlines = fit_outlines(uv, owner[on], nominal(part), found.radii_mm, found.spacing_mm)
+    clear = [None if item is None or item.arc < CLEAR_ARC or item.fill > CLOSED else item for item in outlines]
+    if part.chamfer_diameter_mm is None:
+        return np.array([np.nan if item is None else item.radius_mm for item in clear])
+    centres = np.array([np.full(2, np.nan) if item is None else item.centre_mm for item in clear])
+    return wall_radii(near, owner, centres, part)
 
 
 def turned_by_sizes(found: Face, radii: Array, part: Part) -> Face:

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cellctl.vision.geometry import Array
-from cellctl.vision.outline import PLACE_SIGMA_MM, Outline, fit_outlines
+from cellctl.vision.outline import LEAST_SEEN, PLACE_SIGMA_MM, Outline, fit_outlines
 from cellctl.vision.part import Part
 from cellctl.vision.pattern import PatternPose, fit_pattern, nominal
 
 ROUND = 0.6  # scatter of an outline, in spacings, that halves the likeness
 PLACED = 1.0  # distance from the place, in spacings, that does
+ASIDE = 0.25  # share of the disk about the place that a hole a little aside leaves covered
+WHOLE = 0.5  # arc of outlines that say where the pattern is, where there are three of them
 CLOSED = 0.25  # share of the disk that points cover where there is no hole
 
 
@@ -34,9 +36,13 @@ def by_likeness(
     placed = [pose.centre_mm + nominal(part) @ _turn(pose).T for pose in poses]
     place, which = _distinct(np.concatenate(placed), 0.5 * float(np.min(radii_mm)))
     sizes = np.array([float(np.median(radii_mm.reshape(-1)[which == k])) for k in range(len(place))])
-    distance, owner = cKDTree(place).query(uv, distance_upper_bound=1.6 * float(np.max(sizes)))
-    near = np.flatnonzero(np.isfinite(distance))
-    outlines = fit_outlines(uv[near], np.asarray(owner)[near].astype(np.intp), place, sizes, spacing_mm)
+    found = cKDTree(place).query(uv, distance_upper_bound=1.6 * float(np.max(sizes)))
+    near = np.flatnonzero(np.isfinite(found[0]))
+    distance, owner = np.asarray(found[0])[near], np.asarray(found[1])[near].astype(np.intp)
+    outlines = fit_outlines(uv[near], owner, place, sizes, spacing_mm)
+    outlines = _filled(
+        outlines, np.bincount(owner[distance < 0.8 * sizes[owner]], minlength=len(place)), sizes, spacing_mm
+    )
     judged = [
         _judged(pose, [outlines[k] for k in own], part, spacing_mm)
         for pose, own in zip(poses, which.reshape(len(poses), -1), strict=True)
@@ -63,18 +69,27 @@ def _distinct(places: Array, within_mm: float) -> tuple[Array, NDArray[np.intp]]
     return np.stack(chosen), np.array(which, dtype=np.intp)
 
 
-def _judged(pose: PatternPose, outlines: list[Outline | None], part: Part, spacing_mm: float) -> PatternPose:
+def _filled(outlines: list[Outline], inside: NDArray[np.intp], sizes: Array, spacing_mm: float) -> list[Outline]:
+    """The outlines with `fill` not below that of their places: one that went astray says nothing about its place."""
+    whole = np.pi * (0.8 * sizes) ** 2 / spacing_mm**2
+    return [
+        replace(outline, fill=max(outline.fill, float(share) - ASIDE))
+        for outline, share in zip(outlines, inside / whole, strict=True)
+    ]
+
+
+def _judged(pose: PatternPose, outlines: list[Outline], part: Part, spacing_mm: float) -> PatternPose:
     """One pose with its score; the distance of an outline from its place is that to the pattern fitted to them all."""
-    centres, covariances = np.full((part.count, 2), np.nan), np.tile(np.eye(2), (part.count, 1, 1))
     turn = _turn(pose)
-    for k, outline in enumerate(outlines):
-        if outline is not None and outline.fill < CLOSED:
-            centres[k] = (outline.centre_mm - pose.centre_mm) @ turn
-            covariances[k] = turn.T @ outline.covariance @ turn + PLACE_SIGMA_MM**2 * np.eye(2)
-    if np.count_nonzero(np.isfinite(centres[:, 0])) < 3:
+    arcs = np.array([0.0 if outline.fill > CLOSED else outline.arc for outline in outlines])
+    trusted = arcs > (WHOLE if np.count_nonzero(arcs > WHOLE) >= 3 else LEAST_SEEN)
+    centres = np.array([(outline.centre_mm - pose.centre_mm) @ turn for outline in outlines])
+    covariances = np.array([turn.T @ one.covariance @ turn + PLACE_SIGMA_MM**2 * np.eye(2) for one in outlines])
+    if np.count_nonzero(trusted) < 3:
         return replace(pose, score=0.0)
-    fitted = fit_pattern(part, centres, covariances, 0.0)
-    misses = np.hypot(*fitted.residuals_mm.T)
+    fitted = fit_pattern(part, np.where(trusted[:, None], centres, np.nan), covariances, 0.0)
+    c, s = np.cos(fitted.clocking_rad), np.sin(fitted.clocking_rad)
+    misses = np.hypot(*(centres - fitted.centre_mm - nominal(part) @ np.array([[c, s], [-s, c]])).T)
     return PatternPose(
         centre_mm=pose.centre_mm + turn @ fitted.centre_mm,
         clocking_rad=pose.clocking_rad + fitted.clocking_rad,
@@ -83,9 +98,7 @@ def _judged(pose: PatternPose, outlines: list[Outline | None], part: Part, spaci
     )
 
 
-def _alike(outline: Outline | None, miss_mm: float, spacing_mm: float) -> float:
-    if outline is None:
-        return 0.0
+def _alike(outline: Outline, miss_mm: float, spacing_mm: float) -> float:
     if outline.fill > CLOSED:
         return -1.0
     rough, off = outline.scatter_mm / (ROUND * spacing_mm), miss_mm / (PLACED * spacing_mm)

@@ -15,21 +15,15 @@ from numpy.typing import NDArray
 from cellctl.vision import outliers
 from cellctl.vision.cloud import as_cloud
 from cellctl.vision.columns import Columns
-from cellctl.vision.contradictions import (
-    check_closed,
-    check_hole_sizes,
-    check_off_place,
-    check_outlines,
-    many_missing,
-    off_place_mm,
-)
+from cellctl.vision.contradictions import bare_places, check_absent, check_hole_sizes, check_outlines
 from cellctl.vision.face import Face, before_the_eye, find_face
 from cellctl.vision.flatness import inside_edges
 from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
 from cellctl.vision.holes import Hole, Sight, measure_holes, reaches
-from cellctl.vision.index import turned_by_sizes
+from cellctl.vision.index import sizes_seen, turned_by_sizes
 from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused, pivot
-from cellctl.vision.pattern import PatternFit, blind_to_sizes, fit_pattern, symmetry
+from cellctl.vision.pattern import PatternFit, blind_to_sizes, symmetry
+from cellctl.vision.placing import centres_on, check_known, place_pattern, well_seen
 from cellctl.vision.plane import fit_face
 from cellctl.vision.shared_noise import on_face as shared_noise
 from cellctl.vision.studs import measure_studs
@@ -53,8 +47,6 @@ AREA_SAMPLE = 60_000
 """Points of a scan that are enough to tell how flat the face is."""
 SCANNER_FLATNESS_MM = 0.1
 """How bent a scanner may show a flat face (VDI/VDE 2634-2): a part that meets its drawing is not refused for it."""
-MAX_SIGMA_MM = 0.2
-"""One sigma of the pattern's place, or of its turn along the circle, beyond which there is no pose."""
 USUAL_DISTANCE_MM = 400.0
 """Of a structured-light scanner."""
 
@@ -80,15 +72,19 @@ def measure_part(
     # Without rays or a pose nothing says where the scanner stood.
     seen_from = np.full(3, np.nan) if eye is None else eye
     eye = _likely_eye(found) if eye is None else eye
-    blind = blind_to_sizes(part)
-    seen = _sight(scan, found, part, blind, pinhole, eye)
-    if blind is not part:
-        found = turned_by_sizes(found, seen.sizes_mm(part), part)
-        seen = _sight(scan, found, part, part, pinhole, eye)
+    if blind_to_sizes(part) is not part:
+        found = _numbered(scan, found, part)
+    seen = _sight(scan, found, part, pinhole, eye)
     face, frame = seen.face, seen.frame
-    fitted, features = _fit_pattern(seen.features, frame, part)
-    _check_part(scan, found, seen, features, part)
-    _known_well_enough(fitted, found)
+    usable = well_seen(seen.features, gates.min_points_per_feature)
+    fitted, features = place_pattern(usable, frame, part)
+    if part.feature == "hole":
+        check_hole_sizes(part, seen.walls_mm, face.sigma_mm)
+        check_outlines(part, features)
+    lost = frozenset(feature.index for feature in features if not feature.found)
+    bare = bare_places(part, lost, scan, frame, found.radii_mm, face.sigma_mm, found.spacing_mm)
+    check_absent(part, bare, usable, features, fitted)
+    check_known(fitted, found.spacing_mm, face.sigma_mm)
     quality = _quality(scan, seen.places, face, frame, found, features, fitted, seen_from)
     _check(quality, features, part, gates)
     return _assemble(features, face, frame, fitted, part, quality, T_frame_scanner)
@@ -118,15 +114,16 @@ class _Sighting:
     features: tuple[FeatureFit, ...]
     walls_mm: Array
 
-    def sizes_mm(self, part: Part) -> Array:
-        """Radii (n,) that tell holes apart: of the walls, or of the outlines where no chamfer is cut."""
-        if part.chamfer_diameter_mm is not None:
-            return self.walls_mm
-        return np.array([np.nan if feature.radius_mm is None else feature.radius_mm for feature in self.features])
+
+def _numbered(scan: Columns, found: Face, part: Part) -> Face:
+    """The face with its holes numbered by their sizes, where their places leave the number open."""
+    places = _place(scan, found, part)
+    near = scan.take(places.around).into(found.frame)
+    return turned_by_sizes(found, sizes_seen(near, places.owner, found, part), part)
 
 
-def _sight(scan: Columns, found: Face, part: Part, alike: Part, pinhole: Array | None, eye: Array) -> _Sighting:
-    """The face refitted, then every feature on it, measured as those of `alike`."""
+def _sight(scan: Columns, found: Face, part: Part, pinhole: Array | None, eye: Array) -> _Sighting:
+    """The face refitted, then every feature on it."""
     places = _place(scan, found, part)
     face = _refit_face(scan, places, found, part, eye)
     frame = PlaneFrame.on(_onto(face, found.frame.origin), face.normal, found.frame.axes[0])
@@ -134,18 +131,9 @@ def _sight(scan: Columns, found: Face, part: Part, alike: Part, pinhole: Array |
         features = measure_studs(scan, face, part, pose(frame.axes.T, frame.origin), viewpoint=eye)
         return _Sighting(places, face, frame, features, np.full(part.count, np.nan))
     near = scan.take(places.around).into(frame)
-    features = _holes(scan, near, places, face, frame, found, alike, pinhole)
-    walls = wall_radii(near, places.owner, _centres(features, frame, part), part)
+    features = _holes(scan, near, places, face, frame, found, part, pinhole)
+    walls = wall_radii(near, places.owner, centres_on(features, frame, part), part)
     return _Sighting(places, face, frame, features, walls)
-
-
-def _centres(features: tuple[FeatureFit, ...], frame: PlaneFrame, part: Part) -> Array:
-    """Where the features' axes meet the face (n, 2), NaN where missing."""
-    centres = np.full((part.count, 2), np.nan)
-    for feature in features:
-        if feature.center_mm is not None:
-            centres[feature.index] = frame.into(feature.center_mm)[:2]
-    return centres
 
 
 def _place(scan: Columns, found: Face, part: Part) -> _Places:
@@ -236,55 +224,6 @@ def _feature(index: int, hole: Hole, frame: PlaneFrame, face: FaceFit) -> Featur
     )
 
 
-def _fit_pattern(
-    features: tuple[FeatureFit, ...], frame: PlaneFrame, part: Part
-) -> tuple[PatternFit, tuple[FeatureFit, ...]]:
-    """Least squares of the nominal pattern on the centres, in the plane of the face, and the features it rests on.
-
-    A feature that lies farther off its place than any drawing allows is none of the pattern's: the worst is left out
-    until none is left. Raises Refused wrong_part where too many are.
-    """
-    centres, covariances = _centres(features, frame, part), np.tile(np.eye(2), (part.count, 1, 1))
-    for feature in features:
-        if feature.covariance_mm2 is not None:
-            covariances[feature.index] = (frame.axes @ feature.covariance_mm2 @ frame.axes.T)[:2, :2]
-    allowed = off_place_mm(part) + 5.0 * np.sqrt(np.trace(covariances, axis1=1, axis2=2))
-    kept = list(features)
-    while True:
-        fitted = fit_pattern(part, centres, covariances, 0.0)
-        miss = np.nan_to_num(np.hypot(*fitted.residuals_mm.T))
-        worst = int(np.argmax(miss - allowed))
-        if miss[worst] <= allowed[worst]:
-            break
-        centres[worst] = np.nan
-        kept[worst] = FeatureFit(worst, False, reason=f"it lies {miss[worst]:.2f} mm off its place")
-        check_off_place(part, int(np.isnan(centres[:, 0]).sum()) - sum(not feature.found for feature in features))
-    if abs(fitted.diameter_mm - part.circle_diameter_mm) > 0.02 * part.circle_diameter_mm:
-        raise Refused("wrong_part", f"the features lie on a circle of {fitted.diameter_mm:.2f} mm")
-    return fitted, tuple(kept)
-
-
-def _check_part(scan: Columns, found: Face, seen: _Sighting, features: tuple[FeatureFit, ...], part: Part) -> None:
-    """What speaks against this being the part of the recipe. Raises Refused wrong_part."""
-    if part.feature == "hole":
-        check_hole_sizes(part, seen.walls_mm, seen.face.sigma_mm)
-        check_outlines(part, features)
-    if many_missing(part, features):
-        check_closed(part, features, scan, seen.frame, found.radii_mm, seen.face.sigma_mm, found.spacing_mm)
-
-
-def _known_well_enough(fitted: PatternFit, found: Face) -> None:
-    """A place that is known to a fraction of a millimetre at best serves no joint. Raises Refused."""
-    place = float(np.sqrt(np.trace(fitted.covariance[:2, :2])))
-    turn = 0.5 * fitted.diameter_mm * float(np.sqrt(fitted.covariance[2, 2]))
-    if max(place, turn) > MAX_SIGMA_MM:
-        raise Refused(
-            "too_coarse",
-            f"the pattern is known to {max(place, turn):.2f} mm only, {MAX_SIGMA_MM:g} mm are allowed; "
-            f"points lie {found.spacing_mm:.2f} mm apart and scatter by {found.plane.sigma_mm:.2f} mm",
-        )
-
-
 def _quality(
     scan: Columns, places: _Places, face: FaceFit, frame: PlaneFrame, found: Face, features: tuple[FeatureFit, ...],
     fitted: PatternFit, eye: Array,
@@ -314,10 +253,6 @@ def _check(quality: dict[str, float], features: tuple[FeatureFit, ...], part: Pa
             "too_few_points",
             f"{100 * quality['coverage']:.0f} % of the face seen, {100 * gates.min_coverage:.0f} needed",
         )
-    if quality["min_points_per_feature"] < gates.min_points_per_feature:
-        shown = quality["min_points_per_feature"]
-        least = gates.min_points_per_feature
-        raise Refused("too_few_points", f"a feature shows {shown:.0f} points, at least {least} are needed")
     found = sum(feature.found for feature in features)
     if found < max(3, (part.count + 1) // 2):
         raise Refused("features_missing", f"{found} of {part.count} features found")

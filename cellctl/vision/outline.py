@@ -16,14 +16,18 @@ from cellctl.vision.geometry import Array
 from cellctl.vision.part import Part
 from cellctl.vision.pattern import fit_pattern, nominal
 
-ROUNDS, PROFILED, PLACED = 13, 4, 5  # from which round on there is a profile; the one that starts from the pattern
+ROUNDS = 13
+PROFILED, PLACED = 4, 5  # the first round with a profile, and the one that starts from the pattern's places
 WINDOW = 3  # sectors in which the innermost point is looked for: they overlap, so that their place does not matter
 WIDTH = 1.8  # of that window, in spacings
 REACH = 3.2  # how far outside the outline an edge point may lie, in spacings
 INNER, OUTER = 0.7, 1.5  # the same as a share of the radius, to either side
+BAND, MOST_BAND_MM = 2.5, 1.0  # height of what still belongs to the face at an edge, in spacings and at most
 TUKEY = 3.5
-LOOKS_ALIKE, SURE = 0.12, 5.0  # difference of a radius from the usual one, as a share and in sigmas, that is plain
 LEAST_SCATTER = 0.1  # of the spacing
+USUAL_SCATTER = 1.2  # a torn outline scatters widely: it is cut near where the others are, not to keep its wrong edges
+LOOKS_ALIKE = 0.15  # difference of a radius from the usual one, as a share, up to which holes may share it
+LEAST_SEEN = 0.2  # of an outline that has a say in where the pattern is
 PLACE_SIGMA_MM = 0.05  # added where the pattern gives the start: an edge in the wrong place looks as sure as any
 INFLATION = 2.5  # of variances: an artefact at the edge is wider than a sector. From emulated scans with known centres
 
@@ -47,62 +51,76 @@ class Outline:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """Change of centres (n, 2) and radii (n,), covariance (n, 2, 2) of the centres, scatter (n,), what was used (n, S).
-
-    `own_radius` (n,), `own_sigma` (n,): change of the radius that the hole alone would have.
-    """
+    """Change of centres (n, 2) and radii (n,), covariance (n, 2, 2) of the centres, scatter (n,), edges used (n, S)."""
 
     centre: Array
     radius: Array
-    own_radius: Array
-    own_sigma: Array
     covariance: Array
     scatter: Array
     used: NDArray[np.bool_]
 
 
+def edge_band_mm(sigma_mm: float, spacing_mm: float) -> float:
+    """Height above or below the face up to which points at an edge are taken for the face's own.
+
+    A camera blurs and lifts the surface there: without a chamfer to confuse it with, all of that is face.
+    """
+    return max(4.0 * sigma_mm, min(BAND * spacing_mm, MOST_BAND_MM))
+
+
 def fit_outlines(
     uv: Array, owner: NDArray[np.intp], centres_mm: Array, radii_mm: Array, spacing_mm: float, part: Part | None = None
-) -> list[Outline | None]:
-    """Outlines of holes at about `centres_mm` (n, 2) with `radii_mm` (n,), from face points (M, 2); None where none is
-    seen.
+) -> list[Outline]:
+    """Outlines of holes at about `centres_mm` (n, 2) with `radii_mm` (n,) from face points (M, 2); `arc` may be 0.
 
     `owner` (M,) is the hole that each point lies around. With `part`, in whose frame all lies, holes that are drawn
     alike share their radius, and where the pattern has them tells what edge is theirs. Limited by the sampling: an edge
     lies anywhere within one spacing of the innermost point, and the radius is corrected by half a spacing.
     """
-    count, centre = len(centres_mm), centres_mm
-    group = np.arange(count) if part is None else _drawn(part)
+    centre, group = centres_mm, np.arange(len(centres_mm)) if part is None else _drawn(part)
     radius = start = _shared(radii_mm, group)
     sectors = WINDOW * int(np.clip(2.0 * np.pi * float(np.median(radius)) / (WIDTH * spacing_mm), 12, 180))
     angle = (np.arange(sectors) + 0.5) * 2.0 * np.pi / sectors
     ways = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     profile = np.zeros(sectors)
-    step: _Step | None = None
-    for turn in range(ROUNDS):
-        if turn == PLACED and step is not None and part is not None:
+    edge = _edges(uv - centre[owner], owner, radius, sectors, spacing_mm)
+    step = _step(edge, ways, group, start - radius, spacing_mm, np.inf)
+    for turn in range(1, ROUNDS):
+        centre, radius = centre + step.centre, radius + step.radius
+        if turn == PLACED and part is not None:
             centre = _placed(part, centre, step)
         edge = _edges(uv - centre[owner], owner, radius, sectors, spacing_mm)
-        if turn == PROFILED and step is not None and part is not None:
-            group, radius = _regrouped(group, radius, step)
-            start = radius
         if turn >= PROFILED:
             profile = _profile(edge, ways)
-        step = _step(edge - profile, ways, group, start - radius, spacing_mm)
-        centre, radius = centre + step.centre, radius + step.radius
-    assert step is not None
-    distance = np.hypot(*(uv - centre[owner]).T)
+        if turn == PLACED and part is not None:  # about the places, where no wrong radius has moved a centre aside
+            group, start = _regrouped(group, radius, edge - profile, float(np.median(step.scatter)))
+            edge, radius = edge + (radius - start)[:, None], start
+        usual = USUAL_SCATTER if turn >= PROFILED else np.inf
+        step = _step(edge - profile, ways, group, start - radius, spacing_mm, usual)
+    centre, radius = centre + step.centre, radius + step.radius
+    return _seen(uv - centre[owner], owner, centre, radius, step, spacing_mm)
+
+
+def _seen(
+    offset: Array, owner: NDArray[np.intp], centre: Array, radius: Array, step: _Step, spacing_mm: float
+) -> list[Outline]:
+    """The outlines where they ended."""
+    count, distance = len(centre), np.hypot(*offset.T)
     along = np.bincount(owner[np.abs(distance - radius[owner]) < spacing_mm], minlength=count)
     inside = np.bincount(owner[distance < 0.8 * radius[owner]], minlength=count)
     whole = np.maximum(np.pi * (0.8 * radius) ** 2 / spacing_mm**2, 1.0)
     return [
         Outline(
-            centre_mm=centre[k], radius_mm=float(radius[k] - 0.5 * spacing_mm), covariance=step.covariance[k],
-            scatter_mm=float(step.scatter[k]), arc=float(step.used[k].mean()), fill=float(inside[k] / whole[k]),
+            centre_mm=centre[k],
+            radius_mm=float(radius[k] - 0.5 * spacing_mm),
+            covariance=step.covariance[k],
+            scatter_mm=float(step.scatter[k]),
+            arc=float(step.used[k].mean()),
+            fill=float(inside[k] / whole[k]),
             points=int(along[k]),
-        ) if np.count_nonzero(step.used[k]) >= max(8, sectors // 5) else None
+        )
         for k in range(count)
-    ]  # fmt: skip
+    ]
 
 
 def _drawn(part: Part) -> NDArray[np.intp]:
@@ -116,13 +134,26 @@ def _shared(radii_mm: Array, group: NDArray[np.intp]) -> Array:
     return np.array([float(np.median(radii_mm[group == own])) for own in group])
 
 
-def _regrouped(group: NDArray[np.intp], radius: Array, step: _Step) -> tuple[NDArray[np.intp], Array]:
-    """Groups (n,) and radii (n,) where a hole that plainly has another radius than its group's is alone, with its own."""
-    own = radius + step.own_radius
-    usual = _shared(own, group)
-    other = np.abs(own - usual) > np.maximum(LOOKS_ALIKE * usual, SURE * step.own_sigma)
+def _regrouped(
+    group: NDArray[np.intp], radius: Array, edge: Array, scatter_mm: float
+) -> tuple[NDArray[np.intp], Array]:
+    """Groups (n,) and radii (n,) where a hole that plainly has another radius than its group is alone with its own.
+
+    Plainly: many of its edges lie on that other circle, and by far more than on its group's.
+    """
+    shift = _medians(edge)
+    own, shared = (np.count_nonzero(np.abs(edge - of) < scatter_mm, axis=1) for of in (shift[:, None], 0.0))
+    other = (np.abs(shift) > LOOKS_ALIKE * radius) & (own > 0.4 * edge.shape[1]) & (own > 3 * shared)
     alone = np.arange(len(group)) + len(group)
-    return np.where(other, alone, group).astype(np.intp), np.where(other, own, usual)
+    return np.where(other, alone, group).astype(np.intp), np.where(other, radius + shift, radius)
+
+
+def _medians(rows: Array) -> Array:
+    """Median (n,) of the finite values in each row (n, S), the lower one of two; 0 where there is none."""
+    count = np.isfinite(rows).sum(axis=1)
+    ordered = np.sort(rows, axis=1)  # NaN come last
+    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
+    return np.where(count > 0, middle, 0.0)
 
 
 def _edges(offset: Array, owner: NDArray[np.intp], radius: Array, sectors: int, spacing_mm: float) -> Array:
@@ -142,7 +173,7 @@ def _edges(offset: Array, owner: NDArray[np.intp], radius: Array, sectors: int, 
 
 
 def _profile(edge: Array, ways: Array) -> Array:
-    """What the outlines (n, S) have in common (S,), beyond a circle: mean and first harmonic belong to radius, centre."""
+    """What outlines (n, S) have in common (S,) beyond a circle; mean and first harmonic belong to radius and centre."""
     seen = np.isfinite(edge).sum(axis=0) >= 3
     common = np.zeros(edge.shape[1])
     common[seen] = np.nanmedian(edge[:, seen], axis=0)
@@ -151,21 +182,16 @@ def _profile(edge: Array, ways: Array) -> Array:
     return np.asarray(common - ways @ (common @ ways) * 2.0 / len(common))
 
 
-def _step(edge: Array, ways: Array, group: NDArray[np.intp], pull_mm: Array, spacing_mm: float) -> _Step:
+def _step(edge: Array, ways: Array, group: NDArray[np.intp], pull_mm: Array, spacing_mm: float, usual: float) -> _Step:
     """One Gauss-Newton step with Tukey weights; a group's radius is eliminated from the centres (Schur complement).
 
-    Where a group shows too little of its outlines, its radius is held to the start, `pull_mm` (n,) away.
+    Where a group shows too little of its outlines, its radius is held to the start, `pull_mm` (n,) away. Edges are cut
+    at the scatter of their own outline, or at `usual` times the median one where that is less.
     """
-    with np.errstate(invalid="ignore"):
-        seen = np.isfinite(edge)
-        value = np.where(seen, edge, 0.0)
-        middle = [
-            float(np.median(np.abs(row[mask]))) if mask.any() else 0.0 for row, mask in zip(value, seen, strict=True)
-        ]
-    scatter = np.maximum(1.4826 * np.array(middle), LEAST_SCATTER * spacing_mm)
-    # a torn outline scatters widely: it is cut where the others are, or it would keep all of its wrong edges
-    cut = np.minimum(scatter, 1.2 * float(np.median(scatter)))
-    ratio = value / (TUKEY * cut[:, None])
+    seen = np.isfinite(edge)
+    value = np.where(seen, edge, 0.0)
+    scatter = np.maximum(1.4826 * _medians(np.abs(edge)), LEAST_SCATTER * spacing_mm)
+    ratio = value / (TUKEY * np.minimum(scatter, usual * float(np.median(scatter)))[:, None])
     used = seen & (np.abs(ratio) < 1.0)
     weight = np.where(used, (1.0 - ratio**2) ** 2, 0.0) / (WINDOW * INFLATION * scatter[:, None] ** 2)
     square = np.einsum("ns,si,sj->nij", weight, ways, ways) + 1e-6 * np.eye(2)
@@ -178,15 +204,19 @@ def _step(edge: Array, ways: Array, group: NDArray[np.intp], pull_mm: Array, spa
     known = np.bincount(group, own)[group] + held
     radius = (np.bincount(group, wanted)[group] + held * pull_mm) / known
     centre = np.einsum("nij,nj->ni", inverse, pull - cross * radius[:, None])
-    covariance = inverse + carried[:, :, None] * carried[:, None, :] / known[:, None, None]
     limit = 2.0 * spacing_mm
-    own = np.maximum(own, 1e-9)
-    return _Step(np.clip(centre, -limit, limit), radius, wanted / own, own**-0.5, covariance, scatter, used)
+    return _Step(
+        centre=np.clip(centre, -limit, limit),
+        radius=radius,
+        covariance=inverse + carried[:, :, None] * carried[:, None, :] / known[:, None, None],
+        scatter=scatter,
+        used=used,
+    )
 
 
 def _placed(part: Part, centre: Array, step: _Step) -> Array:
     """Where the pattern, fitted to all centres (n, 2), has its holes: a start that one torn outline does not spoil."""
-    enough = np.count_nonzero(step.used, axis=1) >= step.used.shape[1] // 4
+    enough = step.used.mean(axis=1) >= LEAST_SEEN
     if np.count_nonzero(enough) < 3:
         return centre
     places = np.where(enough[:, None], centre, np.nan)

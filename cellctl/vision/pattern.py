@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -134,7 +135,9 @@ def _vote_centres(positions: Array, weights: Array, radius: float, tolerance_mm:
     cells -= cells.min(axis=0)
     table = np.zeros(cells.max(axis=0) + 3)
     np.add.at(table, (cells[:, 0] + 1, cells[:, 1] + 1), value)
-    smooth = sum(np.roll(table, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
+    smooth = np.zeros_like(table)
+    for i, j in product((-1, 0, 1), repeat=2):
+        smooth += np.roll(table, (i, j), axis=(0, 1))
     centres: list[Array] = []
     most = float(np.max(smooth))
     for _ in range(CENTRES):

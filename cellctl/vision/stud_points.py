@@ -21,6 +21,11 @@ RIM_SHARE, BESIDE = 0.35, 0.2
 """The flat end is left out but for this share of the radius at its rim, where the lead-in may be."""
 CREST_QUANTILE = 0.9
 LEAST_IN_CORE = 12
+ALL_AROUND, SURE_OF_EYE = 0.45, 0.5
+"""Of points on half a cylinder the mean direction has a length of 0.64, of those all around none."""
+OWN_SIDE = 1.0
+"""Fall of a ray that looks at a point from its own side."""
+USUAL_DISTANCE_MM = 350.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +98,42 @@ def gather(local: Array, pixels: Indices | None, centres: Array, part: Part, eye
     side = np.flatnonzero(side)
     rows, stud = around.rows[side], around.stud[side]
     points = local.take(rows, axis=1)
-    rays = points - eye[:, None]
-    rays /= np.sqrt(np.einsum("in,in->n", rays, rays))
+    if pixels is None:
+        rays = _likely_rays(points, np.stack([u[side], v[side]]), stud, tips, middles, eye)
+    else:
+        rays = _unit(points - eye[:, None])
     starts = np.searchsorted(stud, np.arange(len(centres) + 1))
     chosen = pixels[rows] if pixels is not None else None
     return Near(Rays(points, rays, stud), chosen, starts, tips, middles, centres, radius, extra)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.sqrt(np.einsum("in,in->n", vectors, vectors)))
+
+
+def _likely_rays(points: Array, offset: Array, stud: Indices, tips: Array, middles: Array, eye: Array) -> Array:
+    """Unit rays (3, N) from the eye, from where the studs show that it stood, or each point from its own side.
+
+    A list of points may not tell where its scanner was; studs do, because only their near sides are seen. A wrong
+    place matters little: it turns the rays about points that lie on the surface.
+    """
+    low = np.flatnonzero(points[2] < 0.8 * tips[stud])
+    outward = _unit(offset)
+    count = np.maximum(np.bincount(stud[low], minlength=len(tips)), 1)
+    sides = np.stack([np.bincount(stud[low], outward[axis, low], len(tips)) / count for axis in (0, 1)], axis=1)
+    shown = np.hypot(*sides.T)
+    if np.median(shown) < ALL_AROUND:
+        return _unit(np.concatenate([-outward, np.full((1, len(stud)), -OWN_SIDE)]))
+    towards = eye[:2] - middles
+    agreed = np.sum(sides * towards) / max(float(np.sum(shown * np.hypot(*towards.T))), 1e-9)
+    return _unit(points - (eye if agreed > SURE_OF_EYE else _eye(sides, middles))[:, None])
+
+
+def _eye(sides: Array, middles: Array) -> Array:
+    """Where (3,) a scanner stood that sees these sides (n, 2) of studs: their lines meet below it."""
+    across = np.stack([-sides[:, 1], sides[:, 0]], axis=1)
+    foot = np.linalg.lstsq(across, np.sum(across * middles, axis=1), rcond=None)[0]
+    return np.append(foot, USUAL_DISTANCE_MM)
 
 
 def _around(local: Array, centres: Array, reach: float) -> _Around:

@@ -16,6 +16,8 @@ from cellctl.vision.part import Part
 BIN_MM = 0.2
 LEAST_HEIGHT_MM = 1.5
 HALF_LEVEL_MM = 0.4
+ROUND_SHARE = 0.2
+"""Half the height of what counts as an end: the larger, for a round one is a share of its radius high."""
 MOST_LEVELS = 4
 LEAST_POINTS = 12
 GROUND_POINTS = 40_000
@@ -24,10 +26,10 @@ LEAST_SHARE = 0.15
 
 
 def radius_of(part: Part) -> float | None:
-    """Nominal radius of the studs in mm; None where the recipe gives none."""
-    if part.diameter_mm is not None:
-        return 0.5 * float(np.median(part.diameter_mm))
-    return 0.5 * part.thread.major_diameter_mm if part.thread is not None else None
+    """Nominal radius of the studs in mm, of their crests where they are threaded; None where the recipe gives none."""
+    if part.thread is not None:
+        return 0.5 * part.thread.major_diameter_mm
+    return 0.5 * float(np.median(part.diameter_mm)) if part.diameter_mm is not None else None
 
 
 def tip_levels(height_mm: NDArray[np.floating], part: Part) -> list[float]:
@@ -53,7 +55,7 @@ def tip_levels(height_mm: NDArray[np.floating], part: Part) -> list[float]:
 def find_tips(uv_mm: Array, height_mm: Array, part: Part, spacing_mm: float, level_mm: float) -> list[Void]:
     """Discs of points (N, 2) at one height above the face, about as large as a stud's end where its size is known."""
     radius = radius_of(part)
-    on = np.abs(height_mm - level_mm) < HALF_LEVEL_MM
+    on = np.abs(height_mm - level_mm) < max(HALF_LEVEL_MM, ROUND_SHARE * (radius or 0.0))
     if np.count_nonzero(on) < LEAST_POINTS:
         return []
     cell = max(1.2 * spacing_mm, 0.2 * radius if radius is not None else 0.0)

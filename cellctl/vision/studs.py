@@ -9,6 +9,7 @@ from cellctl.vision.geometry import Array, PlaneFrame, Points
 from cellctl.vision.grid import spacing
 from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit, pivot
 from cellctl.vision.pattern import find_pattern, nominal
+from cellctl.vision.stud_checks import check_count, check_length, check_radius, check_sides
 from cellctl.vision.stud_points import LEAST_HEIGHT_MM, Near, gather
 from cellctl.vision.stud_tips import find_tips, radius_of, tip_levels
 from cellctl.vision.thread_normal import Priors
@@ -21,15 +22,13 @@ AXIS_PRIOR_DEG = 0.03
 """One sigma of a stud's lean against the face's normal: a tapped hole's perpendicularity, with room to spare."""
 MIN_POINTS = 12
 """Fewer points on a stud's thread and lead-in do not fix its axis."""
-MIN_SHARE = 0.5
-"""A smaller share of the points around a stud that fit it means that it is something else."""
+MIN_SHARE, USUAL_SHARE = 0.5, 0.75
+"""A smaller share of the points around a stud that fit it, or of what fits the other studs, means something else."""
 MIN_VOTERS, CLEAR_VOTE = 100, 0.35
 """Points and score with which one stud alone says what thread it has."""
 VOTERS = 200
 """Points of a stud that vote."""
 LEAD_IN_PITCHES = np.array([0.0, 0.35, 0.6, 0.9, 1.3, 1.9, 2.7])
-LENGTH_TOLERANCE, RADIUS_TOLERANCE = 0.1, 0.02
-"""Shares of the recipe's sizes by which a stud may differ, beside 1 mm of length and 0.15 mm of radius."""
 
 
 def measure_studs(
@@ -54,18 +53,29 @@ def measure_studs(
     frame = PlaneFrame.on(face.point_mm, face.normal, np.array([1.0, 0.0, 0.0]) if reference is None else reference)
     eye = frame.into(np.zeros(3) if viewpoint is None else viewpoint)
     scan = points if isinstance(points, Columns) else Columns.of(points)
-    height = scan.above(face.normal, float(face.point_mm @ face.normal))
-    most = 1.3 * part.length_mm + 3.0 if part.length_mm is not None else 2.0 * part.circle_diameter_mm
-    above = scan.take(np.flatnonzero((height > max(LEAST_HEIGHT_MM, 8.0 * face.sigma_mm)) & (height < most)))
+    above = _above(scan, face, part)
     local = _into(above, frame)
     centres = _pattern(local, part, frame, T_scanner_part)
     near = gather(local, above.pixels, centres, part, eye)
     if np.count_nonzero(near.counts >= MIN_POINTS) < 3:
         raise Refused("features_missing", "fewer than three studs stand on the face")
-    _check_length(near, part)
+    check_length(near, part, MIN_POINTS)
+    check_count(local, near, part)
     solution, form, ballot = _fit(near, part, axis_prior_deg, above.shape)
-    _check_radius(solution, part)
+    check_radius(float(solution.shared[RADIUS]), part)
+    check_sides(near, solution.own[:, :2], part)
     return _results(solution, form, ballot, near, frame, face, part)
+
+
+def _above(scan: Columns, face: FaceFit, part: Part) -> Columns:
+    """Points above the face, no higher than a stud."""
+    low = max(LEAST_HEIGHT_MM, 8.0 * face.sigma_mm)
+    high = 1.3 * part.length_mm + 3.0 if part.length_mm is not None else 2.0 * part.circle_diameter_mm
+    rows = [np.zeros(0, dtype=np.intp)]
+    for begin, piece in scan.batches():
+        height = piece.above(face.normal, float(face.point_mm @ face.normal))
+        rows.append(begin + np.flatnonzero((height > low) & (height < high)))
+    return scan.take(np.concatenate(rows))
 
 
 def _into(points: Columns, frame: PlaneFrame) -> Array:
@@ -92,23 +102,6 @@ def _pattern(local: Array, part: Part, frame: PlaneFrame, T_scanner_part: Array 
             c, s = np.cos(found.clocking_rad), np.sin(found.clocking_rad)
             return np.asarray(found.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]]))
     raise Refused("features_missing", "no studs in the pattern stand on the face")
-
-
-def _check_length(near: Near, part: Part) -> None:
-    if part.length_mm is None:
-        return
-    length = float(np.median(near.tips[near.counts >= MIN_POINTS]))
-    if abs(length - part.length_mm) > 1.0 + LENGTH_TOLERANCE * part.length_mm:
-        raise Refused("wrong_part", f"the studs are {length:.1f} mm long; the recipe says {part.length_mm:g} mm")
-
-
-def _check_radius(solution: Solution, part: Part) -> None:
-    """Refuse studs of another size than the recipe's."""
-    expected, radius = radius_of(part), float(solution.shared[0])
-    if expected is None or abs(radius - expected) <= 0.15 + RADIUS_TOLERANCE * expected:
-        return
-    code = "wrong_part" if part.thread is None else "thread_wrong"
-    raise Refused(code, f"the studs have a radius of {radius:.2f} mm; the recipe says {expected:.2f} mm")
 
 
 def _fit(
@@ -170,11 +163,13 @@ def _results(
 ) -> tuple[FeatureFit, ...]:
     on_side = solution.surface < TIP
     used = (solution.weights > 0) & on_side
+    counts = [np.bincount(near.rays.stud[chosen], minlength=part.count) for chosen in (used, on_side)]
+    seen = counts[1] >= MIN_POINTS
+    usual = float(np.median((counts[0] / np.maximum(counts[1], 1))[seen])) if seen.any() else 1.0
     fits = []
-    for i in range(part.count):
+    for i, (fit, there) in enumerate(np.stack(counts, axis=1).tolist()):
         mine = slice(near.starts[i], near.starts[i + 1])
-        fit, there = int(np.count_nonzero(used[mine])), int(np.count_nonzero(on_side[mine]))
-        reason = _why_not(fit, there, solution.own_covariance[i])
+        reason = _why_not(fit, there, max(MIN_SHARE, USUAL_SHARE * usual), solution.own_covariance[i])
         if not reason:
             rms = float(np.sqrt(np.mean(solution.residuals_mm[mine][used[mine]] ** 2)))
             fits.append(_found(i, solution, form, ballot, frame, face, fit, rms))
@@ -233,11 +228,11 @@ def _thread(solution: Solution, form: Form, ballot: ThreadVote | None, own: Arra
     return ThreadFit(radius, pitch, ballot.hand, ballot.starts, phase, float(sigma[RADIUS]), float(sigma[PITCH]))
 
 
-def _why_not(used: int, there: int, covariance: Array) -> str:
+def _why_not(used: int, there: int, share: float, covariance: Array) -> str:
     """Reason why a stud counts as not found, "" where it does."""
     if there < MIN_POINTS:
         return "nothing stands there"
-    if used < MIN_POINTS or used < MIN_SHARE * there:
+    if used < MIN_POINTS or used < share * there:
         return f"only {used} of {there} points there fit a stud"
     if np.sqrt(np.trace(covariance[:2, :2])) > 0.5:
         return "its axis is not determined"

@@ -17,6 +17,8 @@ CLASSES = 12
 SURE_GROWTH, NO_GROWTH = 0.5, 0.2
 """From the first on growth counts as 1: the points that graze decide most of a fit, which makes their residuals look
 small, and too little weight on them costs less than too much. Below the second it counts as 0."""
+CLEARLY = 3.0
+"""Standard deviations by which growth must differ from 1 or 0 to count as something else."""
 CLEAR_COSINE = 0.26
 """Nearer to grazing, a flank's edge may be taken for a crest, and fits by chance."""
 LEAST_IN_CLASS = 20
@@ -59,8 +61,9 @@ def on_thread(met: Depths, deepest_mm: float) -> NDArray[np.bool_]:
 def tukey(met: Depths, law: NoiseLaw) -> tuple[Array, Array]:
     """Robust weights (N,) and one sigma (N,) of each depth; weight 0 for what is no thread."""
     sigmas = law.sigmas(met)
-    ratio = np.abs(np.nan_to_num(met.ahead_mm)) / (4.7 * sigmas)
-    return np.where(on_thread(met, law.deepest_mm), np.square(1.0 - np.square(np.minimum(ratio, 1.0))), 0.0), sigmas
+    ratio = np.where(on_thread(met, law.deepest_mm), met.ahead_mm, np.inf) * (1.0 / 4.7)
+    ratio /= sigmas
+    return np.square(1.0 - np.minimum(ratio * ratio, 1.0)), sigmas
 
 
 def misfit(met: Depths, law: NoiseLaw) -> Array:
@@ -87,15 +90,7 @@ def learn(met: Depths, law: NoiseLaw, shared: Array) -> NoiseLaw:
     rows = np.flatnonzero((weights > 0.0) & (met.cosine > CLEAR_COSINE) & (met.surface != ROOT))
     growth = law.growth
     if len(rows) >= 4 * LEAST_IN_CLASS:
-        x, y = [], []
-        order = rows[np.argsort(met.cosine[rows], kind="stable")]
-        for few in np.array_split(order, min(CLASSES, len(rows) // LEAST_IN_CLASS)):
-            x.append(float(np.mean(np.log(np.maximum(met.cosine[few], LEAST_COSINE)))))
-            y.append(float(np.log(np.median(np.abs(met.ahead_mm[few])) + MIN_SIGMA_MM)))
-        if np.ptp(x) > 0.2:
-            centred = np.array(x) - np.mean(x)
-            growth = -float(centred @ np.array(y)) / float(centred @ centred)
-            growth = 1.0 if growth > SURE_GROWTH else (growth if growth > NO_GROWTH else 0.0)
+        growth = _growth(met, rows)
     steady = scale_of(met, NoiseLaw(law.scale_mm, SURELY_FLANK * shared[PITCH], growth), 0.0)
     sigmas = steady.sigmas(met)
     lead_in, root = _factor(met, sigmas, LEAD_IN), _factor(met, sigmas, ROOT)
@@ -103,6 +98,26 @@ def learn(met: Depths, law: NoiseLaw, shared: Array) -> NoiseLaw:
     if root == 1.0:
         deepest = max(deepest, 0.97 * float(shared[RADIUS] - shared[ROOT_RADIUS]))
     return replace(steady, lead_in=lead_in or 1.0, root=root or 1.0, deepest_mm=deepest)
+
+
+def _growth(met: Depths, rows: NDArray[np.intp]) -> float:
+    """How the residuals of some points grow with the slant: the slope of their logarithms over classes of cosine."""
+    parts = min(CLASSES, len(rows) // LEAST_IN_CLASS)
+    x, y = np.empty(parts), np.empty(parts)
+    order = rows[np.argsort(met.cosine[rows], kind="stable")]
+    for k, few in enumerate(np.array_split(order, parts)):
+        x[k] = np.mean(np.log(np.maximum(met.cosine[few], LEAST_COSINE)))
+        y[k] = np.log(np.median(np.abs(met.ahead_mm[few])) + MIN_SIGMA_MM)
+    arm = x - x.mean()
+    spread = float(np.sqrt(np.sum(arm * arm)))
+    if spread == 0.0:
+        return 1.0
+    growth = -float(np.sum(arm * y)) / spread**2
+    # the logarithm of a median of n normal values scatters by 1.17 / sqrt(n)
+    sigma = 1.17 / np.sqrt(len(rows) / parts) / spread
+    if growth > min(SURE_GROWTH, 1.0 - CLEARLY * sigma):
+        return 1.0
+    return growth if growth > max(NO_GROWTH, CLEARLY * sigma) else 0.0
 
 
 def _factor(met: Depths, sigmas: Array, surface: int) -> float:

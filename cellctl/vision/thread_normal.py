@@ -6,7 +6,7 @@ that a matrix library gives each to one thread: the bits do not depend on the nu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,12 @@ class Priors:
 
     own: Array
     shared: Array
+
+    def leaning(self, lean_rad: float) -> Priors:
+        """With another sigma of how studs lean."""
+        own = self.own.copy()
+        own[2:4] = lean_rad
+        return replace(self, own=own)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,20 +5,24 @@ Some points bring the fit near; all points decide.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.vision.correlation import Correlation, PixelGrid, Whitener, estimate
 from cellctl.vision.thread_noise import NoiseLaw, learn, tukey
-from cellctl.vision.thread_normal import Normal, Priors, lean_sigma
+from cellctl.vision.thread_normal import Normal, lean_sigma
 from cellctl.vision.thread_start import Start, near, rows_of
 from cellctl.vision.thread_surface import TIP, Array, Depths, Indices, Rays, depths
 
-ROUNDS, STILL_SIGMAS = 8, 0.5
+ROUNDS, STILL_SIGMAS, LEARNING = 8, 0.5, 3
+"""Most steps; which are too small to matter; how many of the first teach how far studs lean, which a start on some of
+the points exaggerates."""
 FAR_SIGMAS = 15.0
 """Points farther from the stud than this are left out once the fit is near."""
+LEARNERS = 8000
+"""Points whose residuals say how noisy the scan is."""
 WHITE = Correlation(0.0, 1.0)
 
 
@@ -48,33 +52,32 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
     counts as white. How much studs lean is learnt from all of them.
     """
     own, shared, law = near(rays, start)
-    organised = pixels is not None and len(shape) == 2
-    known, priors, factor = (start.own, start.shared), start.priors, 1.0
     whole = depths(rays, own, shared, start.form)
-    law = learn(whole, law, shared)
+    law = learn(whole.take(slice(None, None, max(1, len(rays.stud) // LEARNERS))), law, shared)
     weights, sigmas = tukey(whole, law)
     used = np.flatnonzero((whole.surface < TIP) & (np.abs(whole.ahead_mm) < FAR_SIGMAS * sigmas))
-    some, met = rays.take(used), whole.take(used)
-    places = pixels[used] if pixels is not None and organised else None
-    correlation = _correlation(met, law, places, shape)
+    some, met, robust = rays.take(used), whole.take(used), (weights[used], sigmas[used])
+    places = pixels[used] if pixels is not None and len(shape) == 2 else None
+    correlation = _correlation(met, *robust, places, shape)
+    known, priors, factor = (start.own, start.shared), start.priors, 1.0
     for turn in range(ROUNDS):
         if turn:
             met = depths(some, own, shared, start.form)
-        rows, kept, square = _independent(met, law, some.stud, places, shape, correlation)
+            robust = tukey(met, law)
+        rows, kept, square = _independent(met, *robust, some.stud, places, shape, correlation)
         normal = Normal.empty(len(own))
         normal.add(rows, square, some.stud[kept])
-        if turn == 0:
-            if places is not None:
-                factor = normal.excess(rows, square, some.stud[kept], _tiles(places[kept], shape), priors)
-            priors = _with_lean(priors, lean_sigma(normal, own, known[0], priors, factor))
+        if turn == 0 and places is not None:
+            factor = normal.excess(rows, square, some.stud[kept], _tiles(places[kept], shape), priors)
+        if turn < LEARNING:
+            priors = start.priors.leaning(lean_sigma(normal, own, known[0], start.priors, factor))
         d_own, d_shared = normal.step((own, shared), known, priors)
         own, shared = own + np.clip(d_own, -0.1, 0.1), shared + np.clip(d_shared, -0.05, 0.05)
         own_covariance, shared_covariance = (factor * part for part in normal.covariance(priors))
-        if turn and _still(d_own, own_covariance) and _still(d_shared[None], shared_covariance[None]):
+        if turn >= LEARNING - 1 and _still(d_own, own_covariance) and _still(d_shared[None], shared_covariance[None]):
             break
     weights[:] = 0.0
-    weights[used] = tukey(met, law)[0]
-    whole.ahead_mm[used], whole.surface[used] = met.ahead_mm, met.surface
+    weights[used], whole.ahead_mm[used], whole.surface[used] = robust[0], met.ahead_mm, met.surface
     return Solution(
         own, shared, own_covariance, shared_covariance, whole.ahead_mm, weights, law, whole.surface, correlation
     )
@@ -86,26 +89,20 @@ def _still(steps: Array, covariances: Array) -> bool:
     return bool(np.mean(np.max(np.abs(steps) / sigmas, axis=1) < STILL_SIGMAS) > 0.9)
 
 
-def _with_lean(priors: Priors, lean_rad: float) -> Priors:
-    own = priors.own.copy()
-    own[2:4] = lean_rad
-    return replace(priors, own=own)
-
-
-def _correlation(met: Depths, law: NoiseLaw, pixels: Indices | None, shape: tuple[int, ...]) -> Correlation:
+def _correlation(
+    met: Depths, weights: Array, sigmas: Array, pixels: Indices | None, shape: tuple[int, ...]
+) -> Correlation:
     """What the residuals of neighbouring pixels share."""
-    weights, sigmas = tukey(met, law)
     kept = np.flatnonzero(weights > 0.1)
     grid = PixelGrid.of(pixels[kept], shape) if pixels is not None else None
     return WHITE if grid is None else estimate(grid, (met.ahead_mm / sigmas)[kept])
 
 
 def _independent(
-    met: Depths, law: NoiseLaw, stud: Indices, pixels: Indices | None, shape: tuple[int, ...],
+    met: Depths, weights: Array, sigmas: Array, stud: Indices, pixels: Indices | None, shape: tuple[int, ...],
     correlation: Correlation,
 ) -> tuple[Array, Indices, Array]:  # fmt: skip
     """Rows freed from the noise that neighbouring pixels share, which points they belong to, and their weights."""
-    weights, sigmas = tukey(met, law)
     rows = rows_of(met, sigmas)
     if correlation.length_px == 0.0 or pixels is None:
         return rows, np.arange(len(stud)), weights

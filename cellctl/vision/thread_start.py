@@ -8,19 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.vision.thread_noise import SURELY_FLANK, NoiseLaw, learn, misfit, on_thread, scale_of, tukey
-from cellctl.vision.thread_normal import Normal, Priors
+from cellctl.vision.thread_normal import Normal, Priors, lean_sigma
 from cellctl.vision.thread_surface import FLANK, PITCH, RADIUS, Array, Depths, Form, Rays, depths
 
 HELD_MM, HELD_ROUNDS = 1e-3, 4
 """The shared sizes stay at their start until the studs stand: freed at once, they may run off with the phases."""
-ROUGH_POINTS, ROUGH_TOTAL = 110, 4000
+ROUGH_POINTS, ROUGH_TOTAL = 72, 4000
 """Points of a stud, and of all studs where these are few, that bring the fit near."""
 SEEKERS, SEEKERS_TOTAL = 36, 1200
 """The same for searches."""
 RADIUS_CHANGES_MM = (0.0, -0.02, 0.02, -0.05, 0.05, -0.08, 0.08, -0.12, 0.12, -0.17)
-STILL_MM = 1e-3
-POOR_SHARE = 0.7
-"""A stud of whose points a smaller share fits is tried again from another phase."""
+STILL_MM, MOST = 4e-3, 0.8
+WIDE = 4.0
+"""Where rays graze, points miss by many sigma until the stud stands: the loss begins that much wider."""
+FAR_OUT = 4.5
+"""How many times more than drawn studs must seem to lean on some of the points to be let: noise that all points of a
+stud share looks like a lean too. A smaller one is learnt from all points."""
+POOR_SHARE, POORER = 0.3, 0.17
+"""A stud is tried again where a larger share of its points does not fit, or so much more than of the usual stud."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +41,8 @@ class Start:
     form: Form
     expected_mm: Array | None = None
 
-    def only(self, chosen: NDArray[np.bool_], shared: Array) -> Start:
-        """Some of the studs (n,), beside shared parameters at hand."""
+    def only(self, chosen: NDArray[np.intp], shared: Array) -> Start:
+        """Some of the studs, as often as they are named, beside shared parameters at hand."""
         form = replace(self.form, tip_mm=self.form.tip_mm[chosen], extra_mm=self.form.extra_mm[chosen])
         return replace(self, own=self.own[chosen], shared=shared, form=form)
 
@@ -54,8 +59,12 @@ def near(rays: Rays, start: Start) -> tuple[Array, Array, NoiseLaw]:
     own, shared, law = approach(few, start, start.own, start.shared, 0.25)
     own, shared, law = _tried_again(some, start, own, shared, law)
     own, shared, law = _other_radius(some, start, own, shared, law)
-    law = learn(depths(some, own, shared, start.form), law, shared)
-    own, shared, law = approach(some, start, own, shared, 0.0, law=law, rounds=3, held=0)
+    law = learn(met := depths(some, own, shared, start.form), law, shared)
+    lean_rad = lean_sigma(_normal(met, law, some.stud, len(own)), own, start.own, start.priors, 1.0)
+    if lean_rad > FAR_OUT * start.priors.own[2]:
+        start = replace(start, priors=start.priors.leaning(lean_rad))
+    wide = WIDE * law.scale_mm if law.growth < 1.0 else 0.0
+    own, shared, law = approach(some, start, own, shared, wide, law=law, rounds=6, held=0)
     return _tried_again(some, start, own, shared, law)
 
 
@@ -72,16 +81,15 @@ def approach(
     rounds: int = 16, held: int = HELD_ROUNDS,
 ) -> tuple[Array, Array, NoiseLaw]:  # fmt: skip
     """Gauss-Newton with Tukey weights whose scale falls from `scale_mm` to what the residuals show."""
+    held_priors = replace(start.priors, shared=np.minimum(start.priors.shared, HELD_MM))
     known, law = (start.own, start.shared), law or NoiseLaw(scale_mm, SURELY_FLANK * float(start.shared[PITCH]))
     for turn in range(rounds):
         met = depths(rays, own, shared, start.form)
         law = scale_of(met, law, scale_mm * 0.5**turn if turn < 4 else 0.0)
-        priors = start.priors
-        if turn < held:
-            priors = replace(priors, shared=np.minimum(priors.shared, HELD_MM))
+        priors = held_priors if turn < held else start.priors
         d_own, d_shared = _normal(met, law, rays.stud, len(own)).step((own, shared), known, priors)
         own, shared = own + np.clip(d_own, -0.3, 0.3), shared + np.clip(d_shared, -0.1, 0.1)
-        if turn > held + 1 and float(np.abs(d_own[:, [0, 1, 4]]).max()) < STILL_MM:
+        if turn > held + 1 and float(np.mean(np.abs(d_own[:, [0, 1, 4]]) < STILL_MM)) > MOST:
             break
     return own, shared, law
 
@@ -95,41 +103,48 @@ def _normal(met: Depths, law: NoiseLaw, stud: NDArray[np.intp], count: int) -> N
 
 def rows_of(met: Depths, sigmas: Array) -> Array:
     """Design and right-hand side (SIZE, N) in units of one sigma."""
-    return np.concatenate([met.slopes, -np.nan_to_num(met.ahead_mm)[None]]) / sigmas
+    side = np.where(np.isfinite(met.ahead_mm), -met.ahead_mm, 0.0)
+    return np.concatenate([met.slopes, side[None]]) / sigmas
 
 
 def _tried_again(rays: Rays, start: Start, own: Array, shared: Array, law: NoiseLaw) -> tuple[Array, Array, NoiseLaw]:
     """Studs that do not fit, once more from other places and phases beside the sizes which the others found."""
     misfits = _misfit(rays, own, shared, start.form, law)
-    poor = misfits > 1.0 - POOR_SHARE
+    poor = misfits > min(POOR_SHARE, float(np.median(misfits)) + POORER)
     if not poor.any() or not start.form.hand:
         return own, shared, law
+    places = _other_places(start, own, poor)
+    tried = np.tile(np.flatnonzero(poor), len(places))
+    part = start.only(tried, shared)
     rows = np.flatnonzero(poor[rays.stud])
-    some = Rays(rays.points[:, rows], rays.directions[:, rows], (np.cumsum(poor) - 1)[rays.stud[rows]])
-    part = start.only(poor, shared)
-    best, least = own[poor], misfits[poor]
-    for places in _other_places(start, own, poor):
-        trial = part.own.copy()
-        trial[:, :2] = places
-        trial[:, 4] = best_phase(some, trial, shared, part.form, steps=32)
-        trial, _, _ = approach(some, part, trial, shared, 0.1, held=16)
-        misfit_now = _misfit(some, trial, shared, part.form, law)
-        best = np.where((misfit_now < least)[:, None], trial, best)
-        least = np.minimum(least, misfit_now)
+    stud = (np.cumsum(poor) - 1)[rays.stud[rows]]
+    count = int(np.count_nonzero(poor))
+    numbers = np.concatenate([stud + turn * count for turn in range(len(places))])
+    some = Rays(np.tile(rays.points[:, rows], len(places)), np.tile(rays.directions[:, rows], len(places)), numbers)
+    trial = part.own.copy()
+    trial[:, :2] = np.concatenate(places)
+    trial[:, 4] = best_phase(some, trial, shared, part.form, steps=20)
+    trial, _, _ = approach(some, part, trial, shared, WIDE * law.scale_mm, law=law, rounds=9, held=9)
+    now = _misfit(some, trial, shared, part.form, law).reshape(len(places), count)
+    best = np.argmin(now, axis=0)
+    better = now[best, np.arange(count)] < misfits[poor]
+    if not better.any():
+        return own, shared, law
     own = own.copy()
-    own[poor] = best
-    return approach(rays, start, own, shared, 0.0, law=law, rounds=6, held=0)
+    own[np.flatnonzero(poor)[better]] = trial.reshape(len(places), count, -1)[best, np.arange(count)][better]
+    return own, shared, law
 
 
 def _other_places(start: Start, own: Array, poor: NDArray[np.bool_]) -> list[Array]:
     """Places (k, 2) at which the poor studs may stand: where they began, and where the others say that they are."""
     places = [start.own[poor, :2]]
     if start.expected_mm is not None and np.count_nonzero(~poor) >= 3:
-        # similarity z -> a z + b in the complex plane, least squares over the studs that fit
+        # z -> turn z + shift in the complex plane, least squares over the studs that fit
         nominal = start.expected_mm[:, 0] + 1j * start.expected_mm[:, 1]
         found = own[~poor, 0] + 1j * own[~poor, 1]
-        design = np.column_stack([nominal[~poor], np.ones(len(found))])
-        moved = np.column_stack([nominal, np.ones(len(nominal))]) @ np.linalg.lstsq(design, found, rcond=None)[0]
+        arm = nominal - nominal[~poor].mean()
+        turn = np.vdot(arm[~poor], found - found.mean()) / np.vdot(arm[~poor], arm[~poor])
+        moved = found.mean() + turn * arm
         places.append(np.column_stack([moved.real, moved.imag])[poor])
     return places
 

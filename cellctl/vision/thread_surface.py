@@ -121,7 +121,8 @@ def _depths(rays: Rays, own: Array, shared: Array, form: Form) -> Depths:
 class _Track:
     """Each ray in its stud's own frame: position x, y, s at the measured point and change dx, dy, ds per mm along it.
 
-    `across` (N,) is the length of (dx, dy), `radius` and `root` (N,) are each stud's crest and root.
+    `across` (N,) is the length of (dx, dy), `angle` (N,) phi at the measured point, `radius` and `root` (N,) are each
+    stud's crest and root.
     """
 
     x: Array
@@ -139,11 +140,12 @@ class _Track:
     pitch: float
     fall: float
     lead: float
+    angle: Array
 
     @classmethod
     def of(cls, rays: Rays, own: Array, shared: Array, form: Form) -> _Track:
         common, half_crest, pitch, fall, root = (float(value) for value in shared)
-        x0, y0, slope_x, slope_y, phase, lead_in = own.T[:, rays.stud]
+        x0, y0, slope_x, slope_y, phase, lead_in = own.T.take(rays.stud, axis=1)
         (x, y, s), (dx, dy, ds) = rays.points, rays.directions
         x, y = x - x0 - slope_x * s, y - y0 - slope_y * s
         dx, dy = dx - slope_x * ds, dy - slope_y * ds
@@ -152,9 +154,16 @@ class _Track:
         extra = form.extra_mm[rays.stud]
         across = np.sqrt(dx * dx + dy * dy)
         phase = phase + form.middle_mm
+        angle = np.arctan2(y, x) if form.hand else x
         return cls(
-            x, y, s, dx, dy, ds, across, phase, lead_in, common + extra, root + extra, half_crest, pitch, fall, lead
+            x, y, s, dx, dy, ds, across, phase, lead_in, common + extra, root + extra, half_crest, pitch, fall, lead,
+            angle,
         )  # fmt: skip
+
+    def angle_at(self, x: Array, y: Array) -> Array:
+        """phi (N,) at places not far from the measured ones: the turn between them to fifth order."""
+        tangent = (self.x * y - self.y * x) / (self.x * x + self.y * y)
+        return self.angle + tangent * (1.0 - tangent * tangent * (1.0 / 3.0))
 
     def ridge(self, envelope: Array) -> tuple[Array, Array]:
         """Number (N,) of the ridge that each ray meets, and the slope of its flank there: FLANK the upper, -FLANK the
@@ -167,7 +176,7 @@ class _Track:
         at = np.where(np.isfinite(envelope), envelope, 0.0)
         x, y = self.x + at * self.dx, self.y + at * self.dy
         r = np.maximum(np.sqrt(x * x + y * y), 0.05)
-        turns = (self.s + at * self.ds - self.phase - self.lead * np.arctan2(y, x)) / self.pitch
+        turns = (self.s + at * self.ds - self.phase - self.lead * self.angle_at(x, y)) / self.pitch
         nearest = np.rint(turns)
         off = turns - nearest
         half = (self.half_crest + (self.radius - r) / FLANK) / self.pitch
@@ -209,7 +218,7 @@ class _Track:
         for _ in range(2):
             x, y = self.x + at * self.dx, self.y + at * self.dy
             r = np.maximum(np.sqrt(x * x + y * y), 0.05)
-            angle = np.arctan2(y, x)
+            angle = self.angle_at(x, y)
             turn = (x * self.dy - y * self.dx) / r**2
             height = sign * (self.s + at * self.ds - offset - self.lead * angle) + r - level
             slope = (x * self.dx + y * self.dy) / r + sign * (self.ds - self.lead * turn)

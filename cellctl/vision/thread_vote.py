@@ -72,7 +72,7 @@ def vote(
             powers[turns] += spectrum[:, band].sum(axis=0)
             powers[-turns] += spectrum[:, -band].sum(axis=0)
     tallest = max(powers, key=lambda turns: (float(powers[turns].max()), turns))
-    turns, at = _fundamental(powers, tallest, band)
+    turns, at = _fundamental(powers, tallest, band, 2.0 * count)
     power = max(float(powers[turns][at]), 1e-300)
     rivals = max(float(other.max()) for key, other in powers.items() if key * turns < 0)
     pitch = 1.0 / _peak(frequency[band], powers[turns], at)
@@ -107,15 +107,18 @@ def check_vote(ballot: ThreadVote, expected: Thread, where: str = "") -> None:
         )
 
 
-def _fundamental(powers: dict[int, Array], turns: int, band: NDArray[np.intp]) -> tuple[int, int]:
-    """Turns and place in the band of the thread itself: the overtones of a single start look like more starts."""
+def _fundamental(powers: dict[int, Array], turns: int, band: NDArray[np.intp], chance: float) -> tuple[int, int]:
+    """Turns and place in the band of the thread itself: the overtones of a single start look like more starts.
+
+    `chance` is the power that points without any order have.
+    """
     at = int(powers[turns].argmax())
     for part in range(abs(turns), 1, -1):
         if turns % part:
             continue
         low = int(np.searchsorted(band, band[at] / part - 2.0))
         window = powers[turns // part][low : low + 5]
-        if len(window) and window.max() > 0.15 * powers[turns][at]:
+        if len(window) and window.max() - chance > 0.15 * (powers[turns][at] - chance):
             return turns // part, low + int(window.argmax())
     return turns, at
 

@@ -1,7 +1,8 @@
 """Benchmarks as ratios within one run: `python -m tests.benchmarks [--only PART] [--seeds N] [--docs FOLDER]`.
 
 Each part replaces its own entry in FOLDER/figures/bench.json; the document and the plot beside it are written from that
-file. `make bench` compiles the PCL pipeline first. Parts: time, bolts and studs (see `timing`), accuracy, stress, run.
+file. `make bench` compiles the PCL pipeline first. Parts: time, bolts and studs (see `timing`), accuracy, bound,
+stress, run.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ from pathlib import Path
 from typing import Any
 
 from cellctl.studies.figures import provenance
-from tests.benchmarks import accuracy, stress, timing
+from tests.benchmarks import accuracy, against_bound, stress, timing
 from tests.benchmarks.pipelines import PCL, ROOT
 from tests.benchmarks.report import plot, report
 from tests.benchmarks.whole_run import whole_run
 
 Part = Callable[[Path], dict[str, Any]]
 ACCURACY_SEEDS, STRESS_SEEDS = 5, 30
+BOUND_CLOUDS = {100_000: 100, 300_000: 50, 1_000_000: 20}
 
 
 def parts(seeds: int | None, first: int) -> dict[str, Part]:
@@ -33,9 +35,17 @@ def parts(seeds: int | None, first: int) -> dict[str, Part]:
         "bolts": timing.over_bolts,
         "studs": timing.on_studs,
         "accuracy": partial(accuracy.over_seeds, seeds=seeds or ACCURACY_SEEDS),
+        "bound": partial(bound, seeds=seeds, first=first),
         "stress": partial(stress.over_seeds, seeds=seeds or STRESS_SEEDS, first=first),
         "run": whole_run,
     }
+
+
+def bound(work: Path, seeds: int | None, first: int) -> dict[str, Any]:
+    """Accuracy in units of the bound at each number of points, see `against_bound`."""
+    return {"sizes": [
+        against_bound.over_seeds(points, seeds or clouds, first) for points, clouds in BOUND_CLOUDS.items()
+    ]}  # fmt: skip
 
 
 def cpu_s() -> float:
@@ -49,8 +59,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     known = sorted(parts(None, 0))
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     parser.add_argument("--only", action="append", choices=known)
-    parser.add_argument("--seeds", type=int, help="clouds of accuracy and stress")
-    parser.add_argument("--first", type=int, default=0, help="first seed of stress")
+    parser.add_argument("--seeds", type=int, help="clouds of accuracy, bound and stress")
+    parser.add_argument("--first", type=int, default=0, help="first seed of bound and stress")
     parser.add_argument("--docs", type=Path, default=ROOT / "docs")
     args = parser.parse_args(argv)
     if not PCL.exists():
@@ -64,8 +74,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         begin_s = cpu_s()
         with tempfile.TemporaryDirectory() as folder:
             result = part(Path(folder))
-        seeds = [f"--seeds {args.seeds}"] if args.seeds else []
-        command = f'make bench ARGS="{" ".join(["--only", name, *seeds])}"'
+        given = [f"--{one} {getattr(args, one)}" for one in ("seeds", "first") if getattr(args, one)]
+        command = f'make bench ARGS="{" ".join(["--only", name, *given])}"'
         figures[name] = provenance([command], ROOT) | {"cpu_s": cpu_s() - begin_s, "result": result}
         _write(path, figures)
     print(report(figures))

@@ -37,8 +37,14 @@ off by more than 0.25 mm."""
 def report(figures: Json) -> str:
     """The document, of the parts that are there."""
     writers: dict[str, Callable[[Json], list[str]]] = {
-        "time": _time, "bolts": _bolts, "studs": _studs, "accuracy": _accuracy, "stress": _stress, "run": _run,
-    }  # fmt: skip
+        "time": _time,
+        "bolts": _bolts,
+        "studs": _studs,
+        "accuracy": _accuracy,
+        "bound": _bound,
+        "stress": _stress,
+        "run": _run,
+    }
     lines = [HEAD]
     for name, writer in writers.items():
         if name in figures:
@@ -152,6 +158,31 @@ def _accuracy(result: Json) -> list[str]:
         head = [f"{_millions(size['points'])} points", "centre um", "clocking deg", "normal deg", "found", "gross"]
         lines += ["", *table(head, rows)]
     return lines
+
+
+def _bound(result: Json) -> list[str]:
+    names = {
+        "hole_centre": "hole centre",
+        "hole_radius": "hole radius",
+        "clocking": "clocking",
+        "face_normal": "face normal",
+        "face_offset_um": "face offset, um",
+    }
+    sizes = result["sizes"]
+    heads = [f"{_millions(one['points'])}, seeds {one['seeds'][0]} to {one['seeds'][1]}" for one in sizes]
+    rows = [[text, *(_interval(one["ratios"][name]) for one in sizes)] for name, text in names.items()]
+    rows.append(["clouds refused", *(str(len(one["refused"])) for one in sizes)])
+    rows.append(["clouds with a hole missing", *(str(len(one["incomplete"])) for one in sizes)])
+    return [
+        *("## Accuracy against the bound", ""),
+        "Joints drawn at random, white noise of 0.03 mm, 2 % outliers: rms of the error over the cloud's own bound",
+        "(Fisher information of the points delivered, labels known), with its 95 % interval.",
+        *("", *table(["error over bound", *heads], rows)),
+    ]
+
+
+def _interval(ratio: Json) -> str:
+    return f"{ratio['rms']:.2f} ({ratio['low']:.2f} to {ratio['high']:.2f})"
 
 
 def _stress(result: Json) -> list[str]:

@@ -47,7 +47,7 @@ class Scan:
     """How it is seen: `T_scanner_part` (4, 4), angle of a pixel, and the size of every artefact (0 switches it off).
 
     `lost` is the share of the face that shows no points, `torn` the share of rims lost on top, `spread_px` the point
-    spread, `glints` the number of patches that an interreflection lifts or drops, `strays` of groups of points in holes.
+    spread, `glints` the number of patches that an interreflection lifts or drops, `strays` of point groups in holes.
     """
 
     T_scanner_part: Array
@@ -183,10 +183,14 @@ def _cast(scan: Scan, eye: Array, rays: Array, rng: Rng) -> tuple[Array, Array]:
     far = _background(scan, eye, rays, rng)
     start = -eye[2] / rays[:, 2]
     at = eye + start[:, None] * rays
-    solid = _solid(flange, at - 1e-6)
+    rho = np.hypot(at[:, 0], at[:, 1])
+    solid = np.zeros(len(rays), dtype=np.bool_)
+    face = np.flatnonzero((rho > BORE_MM) & (rho < RIM_MM))
+    solid[face] = _solid(flange, at[face] - 1e-6)
     range_mm = np.where(solid, start, far)
     bright = np.where(solid, 1.0, np.where(np.isfinite(far), rng.uniform(0.2, 1.0), 0.0))
-    left = np.flatnonzero(~solid & (np.hypot(at[:, 0], at[:, 1]) < RIM_MM + 2.0))
+    # what enters the bore far from its wall meets nothing: its floor is a narrow ring
+    left = np.flatnonzero(~solid & (rho > BORE_MM - 0.7 * SEEN_DEPTH_MM) & (rho < RIM_MM + 2.0))
     for travelled in np.arange(STEP_MM, SEEN_DEPTH_MM * 1.2, STEP_MM):
         t = start[left] + travelled
         hit = _solid(flange, eye + t[:, None] * rays[left])
@@ -236,15 +240,14 @@ def _solid(flange: Flange, at: Array) -> Bits:
         turn = np.angle(np.exp(1j * (np.arctan2(at[:, 1], at[:, 0]) - np.radians(angle))))
         end = np.clip(turn, -np.radians(half), np.radians(half)) + np.radians(angle)
         solid &= np.hypot(at[:, 0] - 23.0 * np.cos(end), at[:, 1] - 23.0 * np.sin(end)) > 5.2 + lip
-    offsets = np.zeros((5, 2)) if flange.offsets_mm is None else flange.offsets_mm
-    for k, centre in enumerate(CENTRES + offsets):
-        near = np.hypot(*(at[:, :2] - centre).T)
-        saw = np.abs(np.mod(z, 1.0) - 0.5) * 2.0
-        tapped = 3.0 - flange.thread_mm * saw
-        # the countersink runs into the thread at 45 degrees; the key hole is plain
-        mouth = np.maximum(tapped, flange.mouth_mm + z) if k else np.full(len(z), 3.0)
-        floor = flange.depth_mm if k not in flange.bolts else flange.bolt_mm
-        solid &= (near > mouth + lip) | (z < -floor)
+    drilled = CENTRES if flange.offsets_mm is None else CENTRES + flange.offsets_mm
+    nearest = np.argmax(at[:, :2] @ CENTRES.T, axis=1)
+    from_axis = np.hypot(*(at[:, :2] - drilled[nearest]).T)
+    # the countersink runs into the thread at 45 degrees; the key hole is plain
+    tapped = np.maximum(3.0 - flange.thread_mm * np.abs(np.mod(z, 1.0) - 0.5) * 2.0, flange.mouth_mm + z)
+    floors = np.full(len(CENTRES), flange.depth_mm)
+    floors[list(flange.bolts)] = flange.bolt_mm
+    solid &= (from_axis > np.where(nearest == 0, 3.0, tapped) + lip) | (z < -floors[nearest])
     return np.asarray(solid)
 
 
@@ -302,7 +305,7 @@ def _add_strays(scan: Scan, on_face: Bits, depth: Array, face_range: Array, vali
         return
     for u, v in places[rng.integers(0, len(places), 3 * scan.strays)]:
         length = int(rng.integers(2, 6))
-        walk = np.cumsum(rng.integers(-1, 2, (length, 2)), axis=0) + (u, v)
+        walk = np.cumsum(rng.integers(-1, 2, (length, 2)), axis=0) + np.array([u, v])
         walk = np.clip(walk, 0, np.array(valid.shape) - 1)
         off = rng.uniform(-1.0, 1.0) if rng.random() < 0.8 else rng.uniform(1.0, 12.0)
         rows, columns = walk.T

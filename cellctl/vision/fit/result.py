@@ -9,6 +9,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+SMALLEST_MM = 1e-9
+GREATEST_MM = 1e9
+FARTHEST = 1e9
+"""From the origin, in extents of the points: beyond it float64 keeps seven digits of them."""
+
 
 class FitError(ValueError):
     """The points do not determine the element: too few, all alike, or in a degenerate position."""
@@ -44,17 +49,31 @@ class Element:
         return float(np.sqrt(np.mean(self.residuals_mm**2)))
 
 
-def checked(points_mm: NDArray[np.floating], least: int) -> Array:
-    """Points (N, 3) as float64. Raises FitError: wrong shape, not finite, fewer than `least`, all in one place."""
-    points = np.asarray(points_mm, dtype=np.float64)
+def checked(points_mm: NDArray[np.floating], least: int, dimensions: int = 2) -> Array:
+    """Points (N, 3) as float64. Raises FitError: no numbers, wrong shape, not finite, fewer than `least`, spread over
+    no possible length, or (where two dimensions are needed) on a line."""
+    try:
+        points = np.asarray(points_mm, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise FitError(f"points are not numbers: {error}") from error
     if points.ndim != 2 or points.shape[1] != 3:
         raise FitError(f"points of shape {points.shape} are not (N, 3)")
     if not np.isfinite(points).all():
         raise FitError("points are not finite")
     if len(points) < least:
         raise FitError(f"{len(points)} points, at least {least} are needed")
-    if float(np.ptp(points, axis=0).max()) == 0.0:
+    reach = float(np.abs(points).max())
+    extent = float(np.ptp(points / reach, axis=0).max()) * reach if reach > 0.0 else 0.0
+    if extent == 0.0:
         raise FitError("all points are in one place")
+    if not SMALLEST_MM < extent < GREATEST_MM or reach > FARTHEST * extent:
+        raise FitError(
+            f"points spread over {extent:.3g} mm at up to {reach:.3g} mm from the origin: {SMALLEST_MM:g} to "
+            f"{GREATEST_MM:g} mm and at least 1/{FARTHEST:g} of the distance are needed"
+        )
+    spread = principal(points)[1]
+    if dimensions > 1 and spread[1] <= 1e-9 * spread[2]:
+        raise FitError("the points lie on a line")
     return points
 
 
@@ -64,11 +83,11 @@ def signed(direction: Array) -> Array:
 
 
 def frame_of(direction: Array) -> Array:
-    """Rows (3, 3) of a right-handed frame whose third axis is `direction`."""
-    helper = np.eye(3)[np.argmin(np.abs(direction))]
+    """Rows (..., 3, 3) of a right-handed frame whose third axis is `direction` (..., 3)."""
+    helper = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
     first = np.cross(helper, direction)
-    first /= np.linalg.norm(first)
-    return np.vstack([first, np.cross(direction, first), direction])
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, np.cross(direction, first), direction], axis=-2)
 
 
 def principal(points: Array) -> tuple[Array, Array, Array]:

@@ -316,7 +316,7 @@ def other_count(rng: Rng) -> File:
     n = part.count
     counts = [k for k in (n - 2, n - 1, n + 1, n + 2, 2 * n, n // 2 if n % 2 == 0 else 0) if k >= 3]
     room = np.pi * part.circle_diameter_mm / (1.3 * max(part.chamfer_diameter_mm or 0.0, *(part.diameter_mm or ())))
-    counts = [k for k in counts if k < room]
+    counts = [k for k in counts if k < room] or [n - 1]
     count = int(rng.choice(counts))
     other = replace(
         part, angles_deg=drawn_angles(rng, count, "equal"), diameter_mm=(part.diameter_mm or ())[:1] * count

@@ -76,15 +76,21 @@ def hole_part(rng: np.random.Generator, kind: str | None = None) -> Part:
     kind = kind or str(rng.choice(["equal", "unequal", "index"]))
     count = int(rng.integers(4, 31))
     circle = float(rng.uniform(80.0, 260.0))
-    size = float(np.clip(rng.uniform(0.25, 0.42) * np.pi * circle / count, 5.0, 0.1 * circle))
+    angles = drawn_angles(rng, count, kind)
+    bridge = np.pi * circle * float(np.diff([*angles, 360.0]).min()) / 360.0
+    if bridge < 9.0:  # holes of five millimetres with their chamfers would run into each other
+        return hole_part(rng, kind)
+    size = float(np.clip(rng.uniform(0.3, 0.55) * bridge, 5.0, 0.1 * circle))
     sizes = np.full(count, size)
     if kind == "index":
         sizes[0] *= 1.25
-    mouth = float(sizes.max() + rng.uniform(0.8, 2.0)) if kind != "index" or rng.random() < 0.5 else None
+    mouth: float | None = float(sizes.max()) + min(float(rng.uniform(0.8, 2.0)), 0.35 * (bridge - float(sizes.max())))
+    if kind == "index" and rng.random() < 0.5:
+        mouth = None
     widest = mouth or float(sizes.max())
     inner, outer = circle - 2.0 * widest - 4.0, circle + 2.0 * widest + 4.0
     return Part(
-        feature="hole", circle_diameter_mm=circle, angles_deg=drawn_angles(rng, count, kind),
+        feature="hole", circle_diameter_mm=circle, angles_deg=angles,
         index_feature=None if kind == "equal" else 0, diameter_mm=tuple(map(float, sizes)), chamfer_diameter_mm=mouth,
         chamfer_angle_deg=float(rng.uniform(30.0, 50.0)) if mouth else None,
         depth_mm=float(rng.uniform(1.4, 2.5) * size), face_inner_diameter_mm=inner, face_outer_diameter_mm=outer,
@@ -97,9 +103,10 @@ def stud_part(rng: np.random.Generator, kind: str | None = None) -> Part:
     kind = kind or str(rng.choice(["equal", "unequal"]))
     major = float(rng.choice(list(COARSE_SERIES)))
     count = int(rng.integers(5, 19))
-    circle = max(float(rng.uniform(90.0, 200.0)), 2.6 * major * count / np.pi)
+    angles = drawn_angles(rng, count, kind)
+    circle = max(float(rng.uniform(90.0, 200.0)), 2.0 * major * 360.0 / np.pi / float(np.diff([*angles, 360.0]).min()))
     return Part(
-        feature="stud", circle_diameter_mm=circle, angles_deg=drawn_angles(rng, count, kind),
+        feature="stud", circle_diameter_mm=circle, angles_deg=angles,
         diameter_mm=(major,) * count, length_mm=float(rng.uniform(2.8, 4.0) * major),
         thread=Thread(major, COARSE_SERIES[major], "left" if rng.random() < 0.2 else "right"),
         face_inner_diameter_mm=circle - 4.0 * major, face_outer_diameter_mm=circle + 4.0 * major, ledge_step_mm=5.0,
