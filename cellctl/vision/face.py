@@ -22,6 +22,7 @@ from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, stan
 RANSAC_POINTS = 12_000
 MAX_NOISE_MM = 0.5
 LEAST_DISTANCE_MM = 100.0
+ENOUGH_PLANES = 4  # smaller ones are looked at only where these show no pattern
 CLEAR_SIDE, SIDE_POINTS = 5.0, 200_000
 """Standard deviations by which the holes tell the side, and how many points are looked at."""
 RIVALS, MOST_RIVALS = 0.25, 8  # poses that score so much less, per feature, are told apart by their outlines
@@ -89,7 +90,8 @@ def find_face(points: Columns, part: Part, eye: Array | None, reference: Array, 
         # planes come largest first: a smaller one must show the pattern plainly better
         if face is not None and face.pattern.score > beaten:
             best, beaten = face, face.pattern.score + 0.1 * part.count
-        if best is not None and best.pattern.matched == part.count and best.pattern.score > 0.8 * part.count:
+        whole = best is not None and best.pattern.matched == part.count and best.pattern.score > 0.8 * part.count
+        if whole or (best is not None and seen >= ENOUGH_PLANES):
             break
     if seen == 0:
         raise Refused("face_not_found", "no plane was found in the cloud")

@@ -188,7 +188,8 @@ def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float, l
         return f"only {100 * outline.arc:.0f} % of the outline was seen"
     if outline.points < MIN_EDGE_POINTS:
         return f"only {outline.points} points lie along the outline"
-    if np.hypot(*(outline.centre_mm - nominal_mm)) > 0.5 * radius_mm:
+    # half of an outline says where a hole is: one in a wrong place is found there, and speaks against the part
+    if outline.arc < MIN_ARC and np.hypot(*(outline.centre_mm - nominal_mm)) > 0.5 * radius_mm:
         return "the void found lies off the hole's place"
     if not 0.6 * radius_mm < outline.radius_mm < 1.5 * radius_mm:
         return f"the void found has radius {outline.radius_mm:.2f} mm instead of {radius_mm:.2f} mm"
