@@ -14,6 +14,7 @@ from cellctl.vision.part import Part, Refused
 CLEAR_MARGIN = 0.2
 CENTRES = 3  # centres that are tried
 FAR = 3.0  # squared distance in sigmas from which on a centre loses weight: one in five goes farther by chance alone
+STILL = 1e-7  # mm, rad, and share of a variance
 CONSISTENT = 1.193  # variance of normal centres over the one that those weights show: 2 W / E[min(chi2, FAR)]
 
 
@@ -266,10 +267,13 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
         design[:, :, 3] = turned / np.hypot(*turned.T)[:, None]
         matrix = np.einsum("nij,nik,nkl->jl", design, weights, design)
         pull = np.einsum("nij,nik,nk->j", design, weights, residual)
-        pose = pose + np.linalg.solve(matrix[:3, :3], pull[:3])
+        step, before = np.linalg.solve(matrix[:3, :3], pull[:3]), extra
+        pose = pose + step
         # variance of true positions by moments (DerSimonian-Laird), so that chi-square meets its expectation
         shown = CONSISTENT * float(np.einsum("n,ni,nij,nj->", trust, residual, alone, residual)) / free
         extra = max(0.0, (shown - 2.0 * float(trust.sum())) / float(np.einsum("n,nii->", trust, alone)))
+        if np.abs(step).max() < STILL and abs(extra - before) <= STILL * (extra + before):
+            break
     learnt = extra / (extra + 0.5 * float(np.mean(np.trace(own, axis1=1, axis2=2))))
     wider = 1.0 + 2.0 * learnt / (degrees - 2)  # t with f degrees of freedom: variance f / (f - 2)
     everything = np.full((part.count, 2), np.nan)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellctl.vision.geometry import median
 from cellctl.vision.thread_surface import LEAD_IN, PITCH, RADIUS, ROOT, ROOT_RADIUS, TIP, Array, Depths
 
 LEAST_COSINE = 0.05
@@ -77,7 +78,7 @@ def scale_of(met: Depths, law: NoiseLaw, least_mm: float) -> NoiseLaw:
     unit = replace(law, scale_mm=1.0)
     ratio = (np.abs(met.ahead_mm) / unit.sigmas(met))[on_thread(met, law.deepest_mm)]
     near = ratio[ratio < max(6.0 * least_mm, 0.3)]
-    spread = 1.4826 * float(np.median(near)) if len(near) > 5 else 0.03
+    spread = 1.4826 * float(median(near)) if len(near) > 5 else 0.03
     return replace(law, scale_mm=max(spread, least_mm, MIN_SIGMA_MM))
 
 
@@ -107,7 +108,7 @@ def _growth(met: Depths, rows: NDArray[np.intp]) -> float:
     order = rows[np.argsort(met.cosine[rows], kind="stable")]
     for k, few in enumerate(np.array_split(order, parts)):
         x[k] = np.mean(np.log(np.maximum(met.cosine[few], LEAST_COSINE)))
-        y[k] = np.log(np.median(np.abs(met.ahead_mm[few])) + MIN_SIGMA_MM)
+        y[k] = np.log(median(np.abs(met.ahead_mm[few])) + MIN_SIGMA_MM)
     arm = x - x.mean()
     spread = float(np.sqrt(np.sum(arm * arm)))
     if spread == 0.0:
@@ -125,5 +126,5 @@ def _factor(met: Depths, sigmas: Array, surface: int) -> float:
     rows = np.flatnonzero((met.surface == surface) & (np.abs(met.ahead_mm) < 10.0 * sigmas))
     if len(rows) < LEAST_IN_CLASS:
         return 0.0
-    wide = 1.4826 * float(np.median(np.abs(met.ahead_mm[rows]) / sigmas[rows]))
+    wide = 1.4826 * float(median(np.abs(met.ahead_mm[rows]) / sigmas[rows]))
     return wide if wide > MUCH_WIDER else 1.0

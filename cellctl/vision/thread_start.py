@@ -117,10 +117,9 @@ def _tried_again(rays: Rays, start: Start, own: Array, shared: Array, law: Noise
     tried = np.tile(np.flatnonzero(poor), len(places))
     part = start.only(tried, shared)
     rows = np.flatnonzero(poor[rays.stud])
-    stud = (np.cumsum(poor) - 1)[rays.stud[rows]]
     count = int(np.count_nonzero(poor))
-    numbers = np.concatenate([stud + turn * count for turn in range(len(places))])
-    some = Rays(np.tile(rays.points[:, rows], len(places)), np.tile(rays.directions[:, rows], len(places)), numbers)
+    once = Rays(rays.points[:, rows], rays.directions[:, rows], (np.cumsum(poor) - 1)[rays.stud[rows]])
+    some = _repeated(once, len(places), count)
     trial = part.own.copy()
     trial[:, :2] = np.concatenate(places)
     trial[:, 4] = best_phase(some, trial, shared, part.form, steps=20)
@@ -187,22 +186,29 @@ def _misfit(rays: Rays, own: Array, shared: Array, form: Form, law: NoiseLaw) ->
 def best_phase(rays: Rays, own: Array, shared: Array, form: Form, *, steps: int = 16) -> Array:
     """Phase (n,) in mm that fits each stud best among `steps` over one pitch, by a bounded cost."""
     phases = own[:, 4] + shared[PITCH] * np.arange(steps)[:, None] / steps
-    costs = []
-    for phase in phases:
-        trial = own.copy()
-        trial[:, 4] = phase
-        costs.append(_cost(rays, trial, shared, form))
+    costs = _trials(rays, own, shared, form, 4, phases)
     return np.asarray(phases[np.argmin(costs, axis=0), np.arange(len(own))])
 
 
 def best_lead_in(rays: Rays, own: Array, shared: Array, form: Form, depths_mm: Array) -> float:
     """How far below the tip the lead-in begins, among `depths_mm`: the same for all studs."""
-    costs = []
-    for depth in depths_mm:
-        trial = own.copy()
-        trial[:, 5] = form.tip_mm - depth
-        costs.append(float(_cost(rays, trial, shared, form).sum()))
-    return float(depths_mm[int(np.argmin(costs))])
+    costs = _trials(rays, own, shared, form, 5, form.tip_mm - depths_mm[:, None])
+    return float(depths_mm[int(np.argmin(costs.sum(axis=1)))])
+
+
+def _trials(rays: Rays, own: Array, shared: Array, form: Form, which: int, values: Array) -> Array:
+    """Costs (k, n) of each stud with each of the `values` (k, n) for one of its parameters, all in one go."""
+    trials = len(values)
+    own = np.tile(own, (trials, 1))
+    own[:, which] = values.ravel()
+    form = replace(form, tip_mm=np.tile(form.tip_mm, trials), extra_mm=np.tile(form.extra_mm, trials))
+    return _cost(_repeated(rays, trials, values.shape[1]), own, shared, form).reshape(values.shape)
+
+
+def _repeated(rays: Rays, times: int, studs: int) -> Rays:
+    """The same rays again and again, each time on `studs` further ones."""
+    stud = (rays.stud + studs * np.arange(times)[:, None]).ravel()
+    return Rays(np.tile(rays.points, times), np.tile(rays.directions, times), stud)
 
 
 def _cost(rays: Rays, own: Array, shared: Array, form: Form) -> Array:
