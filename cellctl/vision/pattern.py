@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from cellctl.vision.geometry import Array, wrap_rad
+from cellctl.vision.geometry import Array, rotate, wrap_rad
 from cellctl.vision.part import Part, Refused
 
 # score by which the best clocking must beat every other one; one matched feature is worth 1
@@ -46,6 +46,11 @@ def nominal(part: Part) -> Array:
     """Nominal centres (n, 2) in the part frame, mm."""
     angles = np.radians(part.angles_deg)
     return np.asarray(0.5 * part.circle_diameter_mm * np.column_stack([np.cos(angles), np.sin(angles)]))
+
+
+def placed(part: Part, pose: PatternPose | PatternFit) -> Array:
+    """Nominal centres (n, 2) in the plane's coordinates, mm."""
+    return np.asarray(pose.centre_mm + rotate(nominal(part), pose.clocking_rad))
 
 
 def symmetry(part: Part) -> int:
@@ -199,8 +204,7 @@ def _vote_clockings(
 
 def _rigid(model: Array, offset: Array, clocking: float, tolerance_mm: float) -> tuple[Array, float]:
     """Small shift (2,) and turn that bring the pattern onto the candidates that it meets."""
-    c, s = np.cos(clocking), np.sin(clocking)
-    turned = model @ np.array([[c, s], [-s, c]])
+    turned = rotate(model, clocking)
     gap = offset[:, None] - turned[None]
     distance = np.hypot(gap[..., 0], gap[..., 1])
     nearest = distance.argmin(axis=0)
@@ -255,8 +259,7 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
     degrees = 2 * len(model) - 3
     extra, free = 0.0, degrees / (2.0 * len(model))
     for _ in range(30):
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        turned = model @ np.array([[c, s], [-s, c]])
+        turned = rotate(model, float(pose[2]))
         residual = measured - turned - pose[:2]
         precision = np.linalg.inv(own + extra * np.eye(2))
         trust = FAR / np.maximum(np.einsum("ni,nij,nj->n", residual, precision, residual), FAR)

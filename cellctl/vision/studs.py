@@ -8,7 +8,7 @@ from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame, Points
 from cellctl.vision.grid import spacing
 from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit, pivot
-from cellctl.vision.pattern import find_pattern, nominal
+from cellctl.vision.pattern import find_pattern, nominal, placed
 from cellctl.vision.stud_checks import check_count, check_length, check_radius, check_sides
 from cellctl.vision.stud_points import LEAST_HEIGHT_MM, Near, gather
 from cellctl.vision.stud_tips import find_tips, radius_of, tip_levels
@@ -99,8 +99,7 @@ def _pattern(local: Array, part: Part, frame: PlaneFrame, T_scanner_part: Array 
         sizes = np.array([tip.radius_mm for tip in tips])
         found = find_pattern(part, places, sizes, np.ones(len(places)), max(0.25 * radius, 0.5))
         if found is not None:
-            c, s = np.cos(found.clocking_rad), np.sin(found.clocking_rad)
-            return np.asarray(found.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]]))
+            return placed(part, found)
     raise Refused("features_missing", "no studs in the pattern stand on the face")
 
 
