@@ -33,7 +33,8 @@ class NoiseLaw:
     """One sigma of a depth: `scale_mm` over cosine of incidence to `growth`; times `lead_in`, `root` on these.
 
     `growth` is 0 where a camera's noise along the ray is the same everywhere, 1 where it is the same across the
-    surface. Flanks deeper than `deepest_mm` below the crest are left out: a root may be rounded.
+    surface. Flanks deeper than `deepest_mm` below the crest are left out: a root may be rounded. `least_mm` is the
+    noise that the face shows: a fit to a few points takes up what they share, and its residuals look too small.
     """
 
     scale_mm: float
@@ -41,6 +42,7 @@ class NoiseLaw:
     growth: float = 1.0
     lead_in: float = 1.0
     root: float = 1.0
+    least_mm: float = MIN_SIGMA_MM
 
     def sigmas(self, met: Depths) -> Array:
         """One sigma (N,) in mm."""
@@ -79,7 +81,7 @@ def scale_of(met: Depths, law: NoiseLaw, least_mm: float) -> NoiseLaw:
     ratio = (np.abs(met.ahead_mm) / unit.sigmas(met))[on_thread(met, law.deepest_mm)]
     near = ratio[ratio < max(6.0 * least_mm, 0.3)]
     spread = 1.4826 * float(median(near)) if len(near) > 5 else 0.03
-    return replace(law, scale_mm=max(spread, least_mm, MIN_SIGMA_MM))
+    return replace(law, scale_mm=max(spread, least_mm, law.least_mm))
 
 
 def learn(met: Depths, law: NoiseLaw, shared: Array) -> NoiseLaw:
@@ -92,7 +94,8 @@ def learn(met: Depths, law: NoiseLaw, shared: Array) -> NoiseLaw:
     growth = law.growth
     if len(rows) >= 4 * LEAST_IN_CLASS:
         growth = _growth(met, rows)
-    steady = scale_of(met, NoiseLaw(law.scale_mm, SURELY_FLANK * shared[PITCH], growth), 0.0)
+    plain = NoiseLaw(law.scale_mm, SURELY_FLANK * shared[PITCH], growth, least_mm=law.least_mm)
+    steady = scale_of(met, plain, 0.0)
     sigmas = steady.sigmas(met)
     lead_in, root = _factor(met, sigmas, LEAD_IN), _factor(met, sigmas, ROOT)
     deepest = steady.deepest_mm
