@@ -38,6 +38,7 @@ from tests.journeys.twin_runs import (
     twin_cell,
     with_twin,
 )
+from tests.vision import nights
 
 SWARM_SEEDS = 4
 """Twins that the swarm is spread over: few, so that their clouds are computed once."""
@@ -117,6 +118,11 @@ def stops(jobs: RememberedJobs, number: int) -> Result:
     return Result(stopped(Random(number), jobs).rsplit(" ", 1)[-1])
 
 
+def seen(numbers: Callable[[int], tuple[str, str]], number: int) -> Result:
+    """A number of one of the vision core's campaigns."""
+    return Result(*numbers(number))
+
+
 def campaigns() -> dict[str, Campaign]:
     """All of them by name."""
     jobs = RememberedJobs()
@@ -127,6 +133,9 @@ def campaigns() -> dict[str, Campaign]:
         "swarm": partial(swarm, jobs),
         "truth": truth,
         "stops": partial(stops, jobs),
+        "elements": partial(seen, nights.elements),
+        "studs": partial(seen, nights.studs),
+        "flanges": partial(seen, nights.flanges),
     }
 
 

@@ -39,7 +39,7 @@ class Columns:
         valid = np.flatnonzero(flat[:, 0] == flat[:, 0])
         x, y, z = np.empty((3, len(valid)), dtype=np.float32)
         for begin in range(0, len(valid), BATCH):
-            piece = flat[valid[begin : begin + BATCH]]
+            piece = flat.take(valid[begin : begin + BATCH], axis=0)
             for axis, column in enumerate((x, y, z)):
                 column[begin : begin + len(piece)] = piece[:, axis]
         if points.ndim == 2:
@@ -51,6 +51,10 @@ class Columns:
 
     def take(self, rows: NDArray[Any] | slice) -> Columns:
         """Some of the points, by index, mask (N,) or slice."""
+        if not isinstance(rows, slice):
+            rows = np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
+            x, y, z = (column.take(rows) for column in (self.x, self.y, self.z))
+            return Columns(x, y, z, None if self.pixels is None else self.pixels.take(rows), self.shape)
         pixels = None if self.pixels is None else self.pixels[rows]
         return Columns(self.x[rows], self.y[rows], self.z[rows], pixels, self.shape)
 

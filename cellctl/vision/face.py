@@ -15,7 +15,7 @@ from cellctl.vision.holes import void_radii
 from cellctl.vision.likeness import by_likeness
 from cellctl.vision.outline import edge_band_mm
 from cellctl.vision.part import Part, Refused
-from cellctl.vision.pattern import CLEAR_MARGIN, PatternPose, blind_to_sizes, find_patterns, nominal, symmetry
+from cellctl.vision.pattern import CLEAR_MARGIN, PatternPose, blind_to_sizes, find_patterns, nominal, placed, symmetry
 from cellctl.vision.plane import Plane, find_planes
 from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, stand_on, tip_levels
 
@@ -263,7 +263,7 @@ def _refuse_further(
     part: Part, pattern: PatternPose, positions: Array, radii: Array, scores: Array, tolerance_mm: float
 ) -> None:
     """Refuse (wrong_part) a circle that carries further features like those of the pattern between its places."""
-    places = _placed(part, pattern)
+    places = placed(part, pattern)
     distance = np.hypot(*(positions[:, None] - places[None]).transpose(2, 0, 1)).min(axis=1)
     met = distance < tolerance_mm
     if not met.any():
@@ -274,12 +274,6 @@ def _refuse_further(
     further = int(np.count_nonzero(on & alike & (distance > tolerance_mm + size)))
     if further >= max(3.0, 0.4 * part.count):
         raise Refused("wrong_part", f"{further} further features stand on the circle of {part.count}")
-
-
-def _placed(part: Part, pattern: PatternPose) -> Array:
-    """Nominal places (n, 2) in the plane's coordinates."""
-    c, s = np.cos(pattern.clocking_rad), np.sin(pattern.clocking_rad)
-    return np.asarray(pattern.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]]))
 
 
 def _nearest_to(pattern: PatternPose, frame: PlaneFrame, part: Part, reference: Array) -> PatternPose:
@@ -300,7 +294,7 @@ def _pattern_frame(frame: PlaneFrame, pattern: PatternPose) -> PlaneFrame:
 
 def _matched_radii(part: Part, pattern: PatternPose, positions: Array, radii: Array) -> Array:
     """Radius of the void at each nominal place: the one seen there, else what the recipe or the others say."""
-    places = _placed(part, pattern)
+    places = placed(part, pattern)
     distance = np.hypot(*(places[:, None] - positions[None]).transpose(2, 0, 1))
     nearest = distance.argmin(axis=1)
     seen = np.where(distance[np.arange(part.count), nearest] < radii[nearest], radii[nearest], np.nan)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array
@@ -16,6 +19,7 @@ REACH_MM = 3.0
 STEP_MM = 0.3
 """From one block to the next, or inside one: more is no bend."""
 LEAST_IN_BLOCK, ON_SHARE = 6, 0.4
+EIGHT = np.ones((3, 3), dtype=np.bool_)
 SPOTS = 1.0
 """Percent of the blocks on either side that may be dirt, a clamp or the scanner's fault."""
 
@@ -87,33 +91,24 @@ def _one_surface(medians: Array, counts: NDArray[np.intp]) -> NDArray[np.bool_]:
 
     A pocket or a ledge in the face's area is another surface; a bent face goes on without a step.
     """
-    labels = np.zeros(medians.shape, dtype=np.int64)
-    for place in zip(*np.nonzero(np.isfinite(medians)), strict=True):
-        if not labels[place]:
-            _flood(medians, labels, place, int(labels.max()) + 1)
+    labels = _without_step(medians)
     sizes = np.bincount(labels.ravel(), counts.ravel())
     sizes[0] = 0
     main = labels == sizes.argmax()
-    beside = np.zeros(medians.shape, dtype=np.bool_)
-    for place in zip(*np.nonzero(main), strict=True):
-        beside[_around(place)] = True
+    beside = binary_dilation(main, EIGHT)
     stepped = np.unique(labels[beside & ~main])
     return np.asarray((labels > 0) & ~np.isin(labels, stepped[stepped > 0]) | main)
 
 
-def _around(place: tuple[int, int]) -> tuple[slice, slice]:
-    """The block and its eight neighbours."""
-    return tuple(slice(max(0, at - 1), at + 2) for at in place)  # type: ignore[return-value]
-
-
-def _flood(medians: Array, labels: NDArray[np.int64], start: tuple[int, int], label: int) -> None:
-    """Give `label` to all blocks that are reached from `start` without a step."""
-    labels[start] = label
-    left = [start]
-    while left:
-        place = left.pop()
-        rows, columns = _around(place)
-        free = (labels[rows, columns] == 0) & (np.abs(medians[rows, columns] - medians[place]) < STEP_MM)
-        for u, v in zip(*np.nonzero(free), strict=True):
-            labels[rows.start + u, columns.start + v] = label
-            left.append((rows.start + u, columns.start + v))
+def _without_step(medians: Array) -> NDArray[np.intp]:
+    """Number (U, V), from 1, of the surface that goes on from block to block without a step; 0 where there is none."""
+    blocks = np.arange(medians.size).reshape(medians.shape)
+    joined = []
+    for one, other in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1]),
+                       (np.s_[1:, 1:], np.s_[:-1, :-1]), (np.s_[1:, :-1], np.s_[:-1, 1:])):  # fmt: skip
+        near = np.abs(medians[one] - medians[other]) < STEP_MM  # False beside NaN
+        joined.append(np.stack([blocks[one][near], blocks[other][near]]))
+    rows, columns = np.concatenate(joined, axis=1)
+    graph = coo_array((np.ones(len(rows), dtype=np.bool_), (rows, columns)), shape=(medians.size, medians.size))
+    labels = connected_components(graph, directed=False)[1].reshape(medians.shape)
+    return np.where(np.isfinite(medians), labels + 1, 0)

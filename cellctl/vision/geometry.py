@@ -46,6 +46,18 @@ def unit(vector: Any) -> Array:
     return array / length
 
 
+def rotate(points: Array, angle_rad: float) -> Array:
+    """Points (n, 2) turned about the origin by `angle_rad`, right-handed."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.asarray(points @ np.array([[c, s], [-s, c]]))
+
+
+def median(values: Array, axis: int = -1) -> Array:
+    """Upper median along one axis, by a single selection: of a few values several times faster than numpy's own."""
+    middle = values.shape[axis] // 2
+    return np.asarray(np.partition(values, middle, axis=axis).take(middle, axis=axis))
+
+
 def tangents(normal: Array, reference: Array | None = None) -> Array:
     """Two unit vectors (2, 3) that make a right-handed triad with `normal`: t0 x t1 = normal.
 

@@ -37,7 +37,7 @@ EM_ROUNDS = 40
 SLOPE_PRIOR = 1e-3  # long-wave ripple of the scanner tilts the neighbourhood of one hole
 LIFT_PRIOR_MM = 0.01
 THINNED = 300  # points of a hole that bring its fit near
-STILL_MM = 3e-4
+STILL_MM, NEARLY_STILL_MM = 3e-4, 1e-3
 BLOCK = 1024
 LEAST_COSINE = 0.1  # nearer to grazing, what the model leaves out outweighs noise
 
@@ -87,7 +87,7 @@ def fit(samples: Samples, start: Array, sigma_mm: float) -> HoleFits:
     step = len(samples.points) // (THINNED * max(len(start), 1))
     rough = samples.thinned(step) if step > 1 else samples
     state = _rounds(rough, start, start, scale, prior, wide=3.0, rounds=4)
-    state = _rounds(rough, state.parameters, start, state.scale, prior, rounds=8)
+    state = _rounds(rough, state.parameters, start, state.scale, prior, rounds=8, still_mm=NEARLY_STILL_MM)
     power = slant_power(state.labels, state.value, state.weights, facing(rough, state.parameters, state.labels))
     scale = state.scale / np.maximum(_middles(rough, state), LEAST_COSINE) ** power
     state = _rounds(samples, state.parameters, start, scale, prior, power=power, rounds=2)
@@ -139,7 +139,7 @@ def _middles(samples: Samples, state: _State) -> Array:
 
 def _rounds(
     samples: Samples, parameters: Array, mean: Array, scale: Array, prior: Array, *, wide: float = 1.0,
-    power: float = 0.0, rounds: int,
+    power: float = 0.0, rounds: int, still_mm: float = STILL_MM,
 ) -> _State:  # fmt: skip
     """Rounds of Gauss-Newton until the centres rest."""
     parameters = parameters.copy()
@@ -158,7 +158,7 @@ def _rounds(
         parameters += change
         if not samples.chamfered:
             parameters[:, CHAMFER] = parameters[:, WALL]
-        if float(np.abs(change[:, :2]).max(initial=0.0)) < STILL_MM:
+        if float(np.abs(change[:, :2]).max(initial=0.0)) < still_mm:
             break
     return _State(parameters, scale, normal, gradient, labels, value, weights, amplitude)
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from cellctl.vision.geometry import Array
 from cellctl.vision.outline import LEAST_SEEN, PLACE_SIGMA_MM, Outline, fit_outlines
 from cellctl.vision.part import Part
-from cellctl.vision.pattern import PatternPose, fit_pattern, nominal
+from cellctl.vision.pattern import PatternPose, fit_pattern, placed
 
 ROUND = 0.6  # scatter of an outline, in spacings, that halves the likeness
 PLACED = 1.0  # distance from the place, in spacings, that does
@@ -33,8 +33,8 @@ def by_likeness(
     face's points with its edges, `radii_mm` (P, n) about the holes' radii in each pose. A place that several poses have
     is looked at once, so that only what they have not in common makes the difference.
     """
-    placed = [pose.centre_mm + nominal(part) @ _turn(pose).T for pose in poses]
-    place, which = _distinct(np.concatenate(placed), 0.5 * float(np.min(radii_mm)))
+    expected = [placed(part, pose) for pose in poses]
+    place, which = _distinct(np.concatenate(expected), 0.5 * float(np.min(radii_mm)))
     sizes = np.array([float(np.median(radii_mm.reshape(-1)[which == k])) for k in range(len(place))])
     found = cKDTree(place).query(uv, distance_upper_bound=1.6 * float(np.max(sizes)))
     near = np.flatnonzero(np.isfinite(found[0]))
@@ -88,8 +88,7 @@ def _judged(pose: PatternPose, outlines: list[Outline], part: Part, spacing_mm: 
     if np.count_nonzero(trusted) < 3:
         return replace(pose, score=0.0)
     fitted = fit_pattern(part, np.where(trusted[:, None], centres, np.nan), covariances, 0.0)
-    c, s = np.cos(fitted.clocking_rad), np.sin(fitted.clocking_rad)
-    misses = np.hypot(*(centres - fitted.centre_mm - nominal(part) @ np.array([[c, s], [-s, c]])).T)
+    misses = np.hypot(*(centres - placed(part, fitted)).T)
     return PatternPose(
         centre_mm=pose.centre_mm + turn @ fitted.centre_mm,
         clocking_rad=pose.clocking_rad + fitted.clocking_rad,

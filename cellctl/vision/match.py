@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cellctl.vision.geometry import Array, rotate
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +74,6 @@ class HoleMatch:
     residuals_mm: Array
     covariance: Array
     eps_cyc: float
-
-
-def rotate(points: Array, angle_rad: float) -> Array:
-    """(n, 2) turned by `angle_rad`, right-handed."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.asarray(points @ np.array([[c, s], [-s, c]]))
 
 
 def match_holes(holes_mm: Array, studs_mm: Array, variance_mm2: Array, pivot_mm: Array, *, d0_mm: float) -> HoleMatch:

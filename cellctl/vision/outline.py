@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cellctl.vision.geometry import Array
 from cellctl.vision.part import Part
-from cellctl.vision.pattern import fit_pattern, nominal
+from cellctl.vision.pattern import fit_pattern, placed
 
 ROUNDS = 13
 PROFILED, PLACED = 4, 5  # the first round with a profile, and the one that starts from the pattern's places
@@ -221,5 +221,4 @@ def _placed(part: Part, centre: Array, step: _Step) -> Array:
         return centre
     places = np.where(enough[:, None], centre, np.nan)
     fitted = fit_pattern(part, places, step.covariance + PLACE_SIGMA_MM**2 * np.eye(2), 0.0)
-    c, s = np.cos(fitted.clocking_rad), np.sin(fitted.clocking_rad)
-    return np.asarray(nominal(part) @ np.array([[c, s], [-s, c]]) + fitted.centre_mm)
+    return placed(part, fitted)

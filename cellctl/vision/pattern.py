@@ -7,13 +7,14 @@ from itertools import product
 
 import numpy as np
 
-from cellctl.vision.geometry import Array, wrap_rad
+from cellctl.vision.geometry import Array, rotate, wrap_rad
 from cellctl.vision.part import Part, Refused
 
 # score by which the best clocking must beat every other one; one matched feature is worth 1
 CLEAR_MARGIN = 0.2
 CENTRES = 3  # centres that are tried
 FAR = 3.0  # squared distance in sigmas from which on a centre loses weight: one in five goes farther by chance alone
+STILL = 1e-7  # mm, rad, and share of a variance
 CONSISTENT = 1.193  # variance of normal centres over the one that those weights show: 2 W / E[min(chi2, FAR)]
 
 
@@ -45,6 +46,11 @@ def nominal(part: Part) -> Array:
     """Nominal centres (n, 2) in the part frame, mm."""
     angles = np.radians(part.angles_deg)
     return np.asarray(0.5 * part.circle_diameter_mm * np.column_stack([np.cos(angles), np.sin(angles)]))
+
+
+def placed(part: Part, pose: PatternPose | PatternFit) -> Array:
+    """Nominal centres (n, 2) in the plane's coordinates, mm."""
+    return np.asarray(pose.centre_mm + rotate(nominal(part), pose.clocking_rad))
 
 
 def symmetry(part: Part) -> int:
@@ -198,8 +204,7 @@ def _vote_clockings(
 
 def _rigid(model: Array, offset: Array, clocking: float, tolerance_mm: float) -> tuple[Array, float]:
     """Small shift (2,) and turn that bring the pattern onto the candidates that it meets."""
-    c, s = np.cos(clocking), np.sin(clocking)
-    turned = model @ np.array([[c, s], [-s, c]])
+    turned = rotate(model, clocking)
     gap = offset[:, None] - turned[None]
     distance = np.hypot(gap[..., 0], gap[..., 1])
     nearest = distance.argmin(axis=0)
@@ -254,8 +259,7 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
     degrees = 2 * len(model) - 3
     extra, free = 0.0, degrees / (2.0 * len(model))
     for _ in range(30):
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        turned = model @ np.array([[c, s], [-s, c]])
+        turned = rotate(model, float(pose[2]))
         residual = measured - turned - pose[:2]
         precision = np.linalg.inv(own + extra * np.eye(2))
         trust = FAR / np.maximum(np.einsum("ni,nij,nj->n", residual, precision, residual), FAR)
@@ -266,10 +270,13 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
         design[:, :, 3] = turned / np.hypot(*turned.T)[:, None]
         matrix = np.einsum("nij,nik,nkl->jl", design, weights, design)
         pull = np.einsum("nij,nik,nk->j", design, weights, residual)
-        pose = pose + np.linalg.solve(matrix[:3, :3], pull[:3])
+        step, before = np.linalg.solve(matrix[:3, :3], pull[:3]), extra
+        pose = pose + step
         # variance of true positions by moments (DerSimonian-Laird), so that chi-square meets its expectation
         shown = CONSISTENT * float(np.einsum("n,ni,nij,nj->", trust, residual, alone, residual)) / free
         extra = max(0.0, (shown - 2.0 * float(trust.sum())) / float(np.einsum("n,nii->", trust, alone)))
+        if np.abs(step).max() < STILL and abs(extra - before) <= STILL * (extra + before):
+            break
     learnt = extra / (extra + 0.5 * float(np.mean(np.trace(own, axis1=1, axis2=2))))
     wider = 1.0 + 2.0 * learnt / (degrees - 2)  # t with f degrees of freedom: variance f / (f - 2)
     everything = np.full((part.count, 2), np.nan)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cellctl.vision.columns import Column, Columns, inner, total
 from cellctl.vision.flatness import flatness_mm
-from cellctl.vision.geometry import Array, PlaneFrame, unit
+from cellctl.vision.geometry import Array, PlaneFrame, median, unit
 from cellctl.vision.part import FaceFit, Refused
 
 TUKEY = 4.685  # 95 % efficient for white noise
@@ -19,6 +19,8 @@ JUDGES = 600
 THINNED = 20_000  # points that tell a scale, or where to start, as well as all of them
 LEVEL_ROUNDS = 12
 STILL_MM, STILL_RAD = 2e-6, 2e-8  # a tenth of what noise leaves unknown of the best face
+ROUGH_ROUNDS = 6  # as many tell which candidate is better
+SETTLED_MM = 1e-3  # of a plane that tells where to start
 RESOLUTION_MM = 1e-4  # of float32 at some hundred millimetres
 
 
@@ -38,7 +40,7 @@ class Plane:
 
 def robust_sigma(residuals: Array) -> float:
     """Standard deviation of the core of `residuals` about zero, from the median of the absolute values."""
-    return 1.4826 * float(np.median(np.abs(residuals)))
+    return 1.4826 * float(median(np.abs(residuals))) if len(residuals) else 0.0
 
 
 def find_planes(
@@ -92,20 +94,20 @@ def _ransac(points: Array, rng: np.random.Generator, tau_mm: float, trials: int)
     # the best few are told apart after a refit: a tilted plane through three noisy points catches few votes
     best: Plane | None = None
     for index in np.argsort(-votes, kind="stable")[:3]:
-        plane = refit(judges, Plane(normals[index], float(distances[index]), tau_mm, 0), tau_mm)
+        plane = refit(judges, Plane(normals[index], float(distances[index]), tau_mm, 0), tau_mm, rounds=ROUGH_ROUNDS)
         if best is None or plane.points > best.points:
             best = plane
     return best
 
 
-def refit(points: Array, start: Plane, tau_mm: float) -> Plane:
+def refit(points: Array, start: Plane, tau_mm: float, *, rounds: int = 50) -> Plane:
     """Tukey-weighted orthogonal refit to convergence with sigma from the data.
 
     A single refit inside tau pins the plane to its start; this widens to what the data says and goes on until still.
     """
     normal, distance, sigma = start.normal, start.distance_mm, tau_mm
     near = 0
-    for step in range(50):
+    for step in range(rounds):
         residuals = Plane(normal, distance, sigma, 0).residuals(points)
         reach = 2.0 * tau_mm if step < 2 else TUKEY * sigma
         inside = np.abs(residuals) < reach
@@ -122,7 +124,7 @@ def refit(points: Array, start: Plane, tau_mm: float) -> Plane:
         normal, distance = new, float(new @ centre)
         residuals = Plane(normal, distance, sigma, 0).residuals(points)
         sigma = max(robust_sigma(residuals[np.abs(residuals) < max(reach, 3.0 * sigma)]), RESOLUTION_MM)
-        if moved < 1e-5 and step > 3:
+        if moved < SETTLED_MM and step > 3:
             break
     return Plane(normal, distance, sigma, near)
 

@@ -1,4 +1,4 @@
-"""Noise that neighbouring pixels share: how far it reaches, as the face's residuals show it on the pixel grid.
+"""Noise that neighbouring pixels share: how far it reaches, as residuals on the pixel grid show it.
 
 Structured light decodes depth over a neighbourhood, so errors are smooth across a few pixels.
 """
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array
 from cellctl.vision.part import FaceFit
+from cellctl.vision.stencil import neighbours
 
 Image = NDArray[np.float32]
 
@@ -21,6 +22,8 @@ FAR_LAGS = (12, 15)
 LEAST_NEIGHBOUR = 0.15  # correlation of next neighbours below which noise counts as white
 CLIP = 3.5
 BAND_PIXELS = 200_000
+LEAST_PAIRS, LEAST_FAR, LEAST_WHITE = 100, 0.01, 0.05
+"""Without a white part rounding and the model's own errors would decide."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +88,23 @@ def _correlation(z: Image, mask: Image, lag: int) -> float:
         sums += float((z[ahead] * z[behind]).sum(dtype=np.float64))
         count += float((mask[ahead] * mask[behind]).sum(dtype=np.float64))
     return sums / max(count, 1.0)
+
+
+def between(pixels: NDArray[np.intp], residuals: Array) -> SharedNoise | None:
+    """What residuals (N,) of unit variance at `pixels` (N, 2), not enough of them for an image, have in common one and
+    two pixels apart; None where they are as good as white."""
+
+    def mean(down: int, right: int) -> float:
+        other = neighbours(pixels, np.array([[down, right]]))[0]
+        pairs = np.flatnonzero(other >= 0)
+        return float(np.mean(residuals[pairs] * residuals[other[pairs]])) if len(pairs) >= LEAST_PAIRS else 0.0
+
+    power = float(np.mean(residuals**2))
+    near, far = 0.5 * (mean(0, -1) + mean(-1, 0)) / power, 0.5 * (mean(0, -2) + mean(-2, 0)) / power
+    if near < LEAST_NEIGHBOUR or far <= LEAST_FAR:
+        return None
+    length = float(np.clip(np.sqrt(3.0 / np.log(max(near / far, 1.1))), 0.7, 5.0))
+    return SharedNoise(length, float(np.clip(near * np.exp(length**-2.0), 0.1, 1.0 - LEAST_WHITE)))
 
 
 def correlated(columns: Array, pixels: Array, noise: SharedNoise) -> Array:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from cellctl.vision.geometry import Array
 
@@ -22,12 +23,9 @@ _BACK = 4
 
 @dataclass(frozen=True, slots=True)
 class Stencil:
-    """`neighbours` (k, N) rows of the points before each (0 where there is none), their `shares` (k, N) in it, and the
-    standard deviation `spread` (N,) of what is left, in units of the whole noise."""
+    """`free` (N, N) sparse: from each point what the points before it tell, over the standard deviation of the rest."""
 
-    neighbours: Indices
-    shares: Array
-    spread: Array
+    free: csr_array
 
     @classmethod
     def of(
@@ -38,8 +36,8 @@ class Stencil:
         `correlation` maps squared distances in pixels (> 0) to the correlation of the noise there.
         """
         offsets = _offsets(places)
-        found = _neighbours(pixels, group, offsets)
-        there = found >= 0
+        found = neighbours(pixels, offsets)
+        there = (found >= 0) & (group[found] == group)
         pattern = (1 << np.arange(places)) @ there
         kinds, kind = np.unique(pattern, return_inverse=True)
         filled = (kinds[:, None] >> np.arange(places)) & 1 == 1
@@ -49,23 +47,20 @@ class Stencil:
         side = correlation(np.square(offsets).sum(axis=1).astype(np.float64)) * filled
         shares = np.linalg.solve(matrix, side[:, :, None])[:, :, 0]
         left = np.sqrt(np.maximum(1.0 - np.einsum("pk,pk->p", shares, side), 1e-6))
-        return cls(np.where(there, found, 0), shares.T[:, kind], left[kind])
+        count = len(pixels)
+        filled = np.column_stack([there.T, np.ones(count, dtype=np.bool_)])
+        columns = np.column_stack([found.T, np.arange(count)])[filled]
+        values = (np.column_stack([-shares, np.ones(len(left))]) / left[:, None])[kind][filled]
+        starts = np.append(0, np.cumsum(np.count_nonzero(filled, axis=1)))
+        return cls(csr_array((values, columns, starts), shape=(count, count)))
 
     def apply(self, rows: Array) -> Array:
         """Independent rows (q, N) of unit variance from correlated ones."""
-        told = np.zeros_like(rows)
-        for neighbour, share in zip(self.neighbours, self.shares, strict=True):
-            told += share * rows[:, neighbour]
-        return np.asarray((rows - told) / self.spread)
+        return np.asarray((self.free @ rows.T).T)
 
     def back(self, rows: Array) -> Array:
         """The transpose of `apply`: how much each correlated point (q, N) weighs in sums over independent rows."""
-        scaled = rows / self.spread
-        result = scaled.copy()
-        for neighbour, share in zip(self.neighbours, self.shares, strict=True):
-            for row, values in zip(result, scaled, strict=True):
-                row -= np.bincount(neighbour, share * values, minlength=len(row))
-        return result
+        return np.asarray((self.free.T @ rows.T).T)
 
 
 def _offsets(places: int) -> Indices:
@@ -74,12 +69,11 @@ def _offsets(places: int) -> Indices:
     return np.array(sorted(steps, key=lambda step: (step[0] ** 2 + step[1] ** 2, step))[:places], dtype=np.intp)
 
 
-def _neighbours(pixels: Indices, group: Indices, offsets: Indices) -> Indices:
-    """Row (k, N) of the point at each offset from every point, -1 where there is none of the same group."""
+def neighbours(pixels: Indices, offsets: Indices) -> Indices:
+    """Row (k, N) of the point at each of the offsets (k, 2), at most a few pixels, from every point, -1 for none."""
     at = pixels - pixels.min(axis=0) + _BACK
     height, width = at.max(axis=0) + 1 + _BACK
     table = np.full(height * width, -1, dtype=np.intp)
     place = at[:, 0] * width + at[:, 1]
     table[place] = np.arange(len(place))
-    found = table[place + (offsets[:, 0] * width + offsets[:, 1])[:, None]]
-    return np.where((found >= 0) & (group[found] == group), found, -1)
+    return np.asarray(table[place + (offsets[:, 0] * width + offsets[:, 1])[:, None]])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.geometry import Array
+from cellctl.vision.geometry import Array, median
 from cellctl.vision.part import Part
 from cellctl.vision.stud_tips import HALF_LEVEL_MM, radius_of
 from cellctl.vision.thread_surface import Indices, Rays
@@ -178,7 +178,7 @@ def _ends(around: _Around, centres: Array, part: Part, core_mm: float, most_mm: 
             core = core[core > 0.6 * part.length_mm]
         if len(core) < 3:
             continue
-        level = float(np.median(core))
+        level = float(median(core))
         on = (np.abs(height - level) < HALF_LEVEL_MM) & (distance < most_mm)
         if np.count_nonzero(on) >= 3:
             tips[index] = level
@@ -190,9 +190,8 @@ def _ends(around: _Around, centres: Array, part: Part, core_mm: float, most_mm: 
 
 def _middle(offset: Array) -> Array:
     """Mean (2,) of points (2, n) that fill a disc, strays apart."""
-    rough = np.median(offset, axis=1)
-    distance = np.hypot(*(offset - rough[:, None]))
-    return np.asarray(offset[:, distance <= 2.0 * np.median(distance)].mean(axis=1))
+    distance = np.hypot(*(offset - median(offset)[:, None]))
+    return np.asarray(offset[:, distance <= 2.0 * median(distance)].mean(axis=1))
 
 
 def _radius(around: _Around, tips: Array, shift: Array) -> float:

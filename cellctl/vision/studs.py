@@ -8,7 +8,7 @@ from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array, PlaneFrame, Points
 from cellctl.vision.grid import spacing
 from cellctl.vision.part import FaceFit, FeatureFit, Part, Refused, Thread, ThreadFit, pivot
-from cellctl.vision.pattern import find_pattern, nominal
+from cellctl.vision.pattern import find_pattern, nominal, placed
 from cellctl.vision.stud_checks import check_count, check_length, check_radius, check_sides
 from cellctl.vision.stud_points import LEAST_HEIGHT_MM, Near, gather
 from cellctl.vision.stud_tips import find_tips, radius_of, tip_levels
@@ -61,7 +61,7 @@ def measure_studs(
         raise Refused("features_missing", "fewer than three studs stand on the face")
     check_length(near, part, MIN_POINTS)
     check_count(local, near, part)
-    solution, form, ballot = _fit(near, part, axis_prior_deg, above.shape)
+    solution, form, ballot = _fit(near, part, np.radians(axis_prior_deg), face.sigma_mm, above.shape)
     check_radius(float(solution.shared[RADIUS]), part)
     check_sides(near, solution.own[:, :2], part)
     return _results(solution, form, ballot, near, frame, face, part)
@@ -99,13 +99,12 @@ def _pattern(local: Array, part: Part, frame: PlaneFrame, T_scanner_part: Array 
         sizes = np.array([tip.radius_mm for tip in tips])
         found = find_pattern(part, places, sizes, np.ones(len(places)), max(0.25 * radius, 0.5))
         if found is not None:
-            c, s = np.cos(found.clocking_rad), np.sin(found.clocking_rad)
-            return np.asarray(found.centre_mm + nominal(part) @ np.array([[c, s], [-s, c]]))
+            return placed(part, found)
     raise Refused("features_missing", "no studs in the pattern stand on the face")
 
 
 def _fit(
-    near: Near, part: Part, axis_prior_deg: float, shape: tuple[int, ...]
+    near: Near, part: Part, lean_rad: float, noise_mm: float, shape: tuple[int, ...]
 ) -> tuple[Solution, Form, ThreadVote | None]:
     """Vote for the thread, then least squares of every stud with one common thread."""
     ballot = _ballot(near, part)
@@ -122,12 +121,11 @@ def _fit(
         own[:, 4] = ballot.phase_mm - form.middle_mm
         own[:, 4] = best_phase(some, own, shared, form)
     own[:, 5] = near.tips - best_lead_in(some, own, shared, form, LEAD_IN_PITCHES * pitch)
-    lean = np.radians(axis_prior_deg)
     spread = np.array([0.1, 0.03 * pitch, 0.05 * pitch, 0.3, 0.1 * pitch])
     if ballot is None:
         spread[1:3] = 1e-6
-    priors = Priors(np.array([2.0, 2.0, lean, lean, np.inf, 1.0]), spread)
-    start = Start(own, shared, priors, form, near.expected)
+    priors = Priors(np.array([2.0, 2.0, lean_rad, lean_rad, np.inf, 1.0]), spread)
+    start = Start(own, shared, priors, form, near.expected, noise_mm)
     return solve(near.rays, start, pixels=near.pixels, shape=shape), form, ballot
 
 
@@ -169,7 +167,8 @@ def _results(
     fits = []
     for i, (fit, there) in enumerate(np.stack(counts, axis=1).tolist()):
         mine = slice(near.starts[i], near.starts[i + 1])
-        reason = _why_not(fit, there, max(MIN_SHARE, USUAL_SHARE * usual), solution.own_covariance[i])
+        by_chance = 2.0 * np.sqrt(usual * (1.0 - usual) / max(there, 1))
+        reason = _why_not(fit, there, max(MIN_SHARE, USUAL_SHARE * usual - by_chance), solution.own_covariance[i])
         if not reason:
             rms = float(np.sqrt(np.mean(solution.residuals_mm[mine][used[mine]] ** 2)))
             fits.append(_found(i, solution, form, ballot, frame, face, fit, rms))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellctl.vision.geometry import median
 from cellctl.vision.thread_surface import LEAD_IN, PITCH, RADIUS, ROOT, ROOT_RADIUS, TIP, Array, Depths
 
 LEAST_COSINE = 0.05
@@ -32,7 +33,8 @@ class NoiseLaw:
     """One sigma of a depth: `scale_mm` over cosine of incidence to `growth`; times `lead_in`, `root` on these.
 
     `growth` is 0 where a camera's noise along the ray is the same everywhere, 1 where it is the same across the
-    surface. Flanks deeper than `deepest_mm` below the crest are left out: a root may be rounded.
+    surface. Flanks deeper than `deepest_mm` below the crest are left out: a root may be rounded. `least_mm` is the
+    noise that the face shows: a fit to a few points takes up what they share, and its residuals look too small.
     """
 
     scale_mm: float
@@ -40,6 +42,7 @@ class NoiseLaw:
     growth: float = 1.0
     lead_in: float = 1.0
     root: float = 1.0
+    least_mm: float = MIN_SIGMA_MM
 
     def sigmas(self, met: Depths) -> Array:
         """One sigma (N,) in mm."""
@@ -77,8 +80,8 @@ def scale_of(met: Depths, law: NoiseLaw, least_mm: float) -> NoiseLaw:
     unit = replace(law, scale_mm=1.0)
     ratio = (np.abs(met.ahead_mm) / unit.sigmas(met))[on_thread(met, law.deepest_mm)]
     near = ratio[ratio < max(6.0 * least_mm, 0.3)]
-    spread = 1.4826 * float(np.median(near)) if len(near) > 5 else 0.03
-    return replace(law, scale_mm=max(spread, least_mm, MIN_SIGMA_MM))
+    spread = 1.4826 * float(median(near)) if len(near) > 5 else 0.03
+    return replace(law, scale_mm=max(spread, least_mm, law.least_mm))
 
 
 def learn(met: Depths, law: NoiseLaw, shared: Array) -> NoiseLaw:
@@ -91,7 +94,8 @@ def learn(met: Depths, law: NoiseLaw, shared: Array) -> NoiseLaw:
     growth = law.growth
     if len(rows) >= 4 * LEAST_IN_CLASS:
         growth = _growth(met, rows)
-    steady = scale_of(met, NoiseLaw(law.scale_mm, SURELY_FLANK * shared[PITCH], growth), 0.0)
+    plain = NoiseLaw(law.scale_mm, SURELY_FLANK * shared[PITCH], growth, least_mm=law.least_mm)
+    steady = scale_of(met, plain, 0.0)
     sigmas = steady.sigmas(met)
     lead_in, root = _factor(met, sigmas, LEAD_IN), _factor(met, sigmas, ROOT)
     deepest = steady.deepest_mm
@@ -107,7 +111,7 @@ def _growth(met: Depths, rows: NDArray[np.intp]) -> float:
     order = rows[np.argsort(met.cosine[rows], kind="stable")]
     for k, few in enumerate(np.array_split(order, parts)):
         x[k] = np.mean(np.log(np.maximum(met.cosine[few], LEAST_COSINE)))
-        y[k] = np.log(np.median(np.abs(met.ahead_mm[few])) + MIN_SIGMA_MM)
+        y[k] = np.log(median(np.abs(met.ahead_mm[few])) + MIN_SIGMA_MM)
     arm = x - x.mean()
     spread = float(np.sqrt(np.sum(arm * arm)))
     if spread == 0.0:
@@ -125,5 +129,5 @@ def _factor(met: Depths, sigmas: Array, surface: int) -> float:
     rows = np.flatnonzero((met.surface == surface) & (np.abs(met.ahead_mm) < 10.0 * sigmas))
     if len(rows) < LEAST_IN_CLASS:
         return 0.0
-    wide = 1.4826 * float(np.median(np.abs(met.ahead_mm[rows]) / sigmas[rows]))
+    wide = 1.4826 * float(median(np.abs(met.ahead_mm[rows]) / sigmas[rows]))
     return wide if wide > MUCH_WIDER else 1.0

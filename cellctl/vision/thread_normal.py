@@ -128,11 +128,13 @@ def lean_sigma(normal: Normal, own: Array, known: Array, priors: Priors, factor:
     )
     information = (whole[:, slopes][:, :, slopes] - across @ solved[:, :, :2]) / factor
     pull = (side[:, slopes] - (across @ solved[:, :, 2:])[:, :, 0]) / factor
+    # in the axes of each stud's information the rounds are sums of numbers
+    known_by, axes = np.linalg.eigh(information)
+    pulled = np.einsum("nkl,nk->nl", axes, pull)
     expected = float(priors.own[2]) ** 2
     variance = expected
     for _ in range(EM_ROUNDS):
-        spread = np.linalg.inv(information + np.eye(2) / variance)
-        lean = np.einsum("nkl,nl->nk", spread, pull)
-        shown = float(np.square(lean).sum() + np.trace(spread, axis1=1, axis2=2).sum())
+        spread = 1.0 / (known_by + 1.0 / variance)
+        shown = float(np.sum(np.square(spread * pulled) + spread))
         variance = (shown + LEAN_DEGREES * expected) / (2.0 * len(own) + LEAN_DEGREES)
     return float(np.sqrt(variance))

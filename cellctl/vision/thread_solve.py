@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.correlation import Correlation, PixelGrid, Whitener, estimate
+from cellctl.vision.shared_noise import SharedNoise, between
+from cellctl.vision.stencil import Stencil
 from cellctl.vision.thread_noise import NoiseLaw, learn, tukey
 from cellctl.vision.thread_normal import Normal, lean_sigma
 from cellctl.vision.thread_start import Start, near, rows_of
@@ -23,7 +24,8 @@ FAR_SIGMAS = 15.0
 """Points farther from the stud than this are left out once the fit is near."""
 LEARNERS = 8000
 """Points whose residuals say how noisy the scan is."""
-WHITE = Correlation(0.0, 1.0)
+PLACES = 10
+"""Neighbours that are asked what they share with a point: more tell nothing beside a model error of as much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +33,7 @@ class Solution:
     """`own` (n, OWN), `shared` (SHARED,) with their type A covariances (n, OWN, OWN), (SHARED, SHARED).
 
     `residuals_mm` (N,) predicted minus measured depth; `weights` (N,) robust, 0 for what is no thread; `law` of the
-    noise along the ray; `correlation` of neighbouring pixels that was found in the residuals; `surface` (N,) met.
+    noise along the ray; `shared_noise` of neighbouring pixels that was found in the residuals; `surface` (N,) met.
     """
 
     own: Array
@@ -42,7 +44,7 @@ class Solution:
     weights: Array
     law: NoiseLaw
     surface: NDArray[np.int8]
-    correlation: Correlation
+    shared_noise: SharedNoise | None
 
 
 def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tuple[int, ...] = ()) -> Solution:
@@ -57,18 +59,22 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
     weights, sigmas = tukey(whole, law)
     used = np.flatnonzero((whole.surface < TIP) & (np.abs(whole.ahead_mm) < FAR_SIGMAS * sigmas))
     some, met, robust = rays.take(used), whole.take(used), (weights[used], sigmas[used])
-    places = pixels[used] if pixels is not None and len(shape) == 2 else None
-    correlation = _correlation(met, *robust, places, shape)
+    places = None
+    if pixels is not None and len(shape) == 2:
+        places = np.stack(np.divmod(pixels[used], shape[1]), axis=1)
+    noise = _shared(met, *robust, places)
     known, priors, factor = (start.own, start.shared), start.priors, 1.0
     for turn in range(ROUNDS):
         if turn:
             met = depths(some, own, shared, start.form)
             robust = tukey(met, law)
-        rows, kept, square = _independent(met, *robust, some.stud, places, shape, correlation)
+        if turn < LEARNING - 1:  # from then on few points change sides
+            kept, stencil = _neighbours(robust[0], some.stud, places, noise)
+        rows, square = _independent(rows_of(met, robust[1])[:, kept], robust[0][kept], stencil)
         normal = Normal.empty(len(own))
         normal.add(rows, square, some.stud[kept])
         if turn == 0 and places is not None:
-            factor = normal.excess(rows, square, some.stud[kept], _tiles(places[kept], shape), priors)
+            factor = normal.excess(rows, square, some.stud[kept], _tiles(places[kept]), priors)
         if turn < LEARNING:
             priors = start.priors.leaning(lean_sigma(normal, own, known[0], start.priors, factor))
         d_own, d_shared = normal.step((own, shared), known, priors)
@@ -78,9 +84,7 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
             break
     weights[:] = 0.0
     weights[used], whole.ahead_mm[used], whole.surface[used] = robust[0], met.ahead_mm, met.surface
-    return Solution(
-        own, shared, own_covariance, shared_covariance, whole.ahead_mm, weights, law, whole.surface, correlation
-    )
+    return Solution(own, shared, own_covariance, shared_covariance, whole.ahead_mm, weights, law, whole.surface, noise)
 
 
 def _still(steps: Array, covariances: Array) -> bool:
@@ -89,36 +93,37 @@ def _still(steps: Array, covariances: Array) -> bool:
     return bool(np.mean(np.max(np.abs(steps) / sigmas, axis=1) < STILL_SIGMAS) > 0.9)
 
 
-def _correlation(
-    met: Depths, weights: Array, sigmas: Array, pixels: Indices | None, shape: tuple[int, ...]
-) -> Correlation:
+def _shared(met: Depths, weights: Array, sigmas: Array, places: Indices | None) -> SharedNoise | None:
     """What the residuals of neighbouring pixels share."""
+    if places is None:
+        return None
     kept = np.flatnonzero(weights > 0.1)
-    grid = PixelGrid.of(pixels[kept], shape) if pixels is not None else None
-    return WHITE if grid is None else estimate(grid, (met.ahead_mm / sigmas)[kept])
+    return between(places[kept], (met.ahead_mm / sigmas)[kept])
 
 
-def _independent(
-    met: Depths, weights: Array, sigmas: Array, stud: Indices, pixels: Indices | None, shape: tuple[int, ...],
-    correlation: Correlation,
-) -> tuple[Array, Indices, Array]:  # fmt: skip
-    """Rows freed from the noise that neighbouring pixels share, which points they belong to, and their weights."""
-    rows = rows_of(met, sigmas)
-    if correlation.length_px == 0.0 or pixels is None:
-        return rows, np.arange(len(stud)), weights
+def _neighbours(
+    weights: Array, stud: Indices, places: Indices | None, noise: SharedNoise | None
+) -> tuple[Indices | slice, Stencil | None]:
+    """Points that count, and what each of them has in common with its neighbours; all of them where noise is white."""
+    if noise is None or places is None:
+        return slice(None), None
     kept = np.flatnonzero(weights > 0.1)
-    grid = PixelGrid.of(pixels[kept], shape)
-    if grid is None:
-        return rows, np.arange(len(stud)), weights
-    free = Whitener.of(grid, stud[kept], correlation).apply(rows[:, kept])
+    return kept, Stencil.of(places[kept], stud[kept], noise.at, places=PLACES)
+
+
+def _independent(rows: Array, weights: Array, stencil: Stencil | None) -> tuple[Array, Array]:
+    """Rows freed from the noise that neighbouring pixels share, and their weights."""
+    if stencil is None:
+        return rows, weights
+    free = stencil.apply(rows)
     # A point that does not go with its neighbours shows here only. Rows quieter than the model do not count for more:
     # the part of the noise that all neighbours share, which decides the place, is as large as before.
     spread = max(1.4826 * float(np.median(np.abs(free[-1]))), 0.1)
     ratio = np.minimum(np.abs(free[-1]) / (4.7 * spread), 1.0)
-    return free, kept, np.square((1.0 - ratio**2) / max(spread, 1.0))
+    return free, np.square((1.0 - ratio**2) / max(spread, 1.0))
 
 
-def _tiles(pixels: NDArray[np.intp], shape: tuple[int, ...], *, side: int = 6) -> NDArray[np.intp]:
-    """Number (N,) of the square of `side` pixels in which each point lies."""
-    rows, columns = np.divmod(pixels, shape[1])
-    return np.asarray(rows // side * (shape[1] // side + 1) + columns // side)
+def _tiles(places: Indices, *, side: int = 6) -> Indices:
+    """Number (N,) of the square of `side` pixels in which each pixel (N, 2) lies."""
+    row, column = (places // side).T
+    return np.asarray(row * (column.max() + 1) + column)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.thread_noise import SURELY_FLANK, NoiseLaw, learn, misfit, on_thread, scale_of, tukey
+from cellctl.vision.thread_noise import MIN_SIGMA_MM, SURELY_FLANK, NoiseLaw, learn, misfit, on_thread, scale_of, tukey
 from cellctl.vision.thread_normal import Normal, Priors, lean_sigma
 from cellctl.vision.thread_surface import FLANK, PITCH, RADIUS, Array, Depths, Form, Rays, depths
 
@@ -21,11 +21,17 @@ RADIUS_CHANGES_MM = (0.0, -0.02, 0.02, -0.05, 0.05, -0.08, 0.08, -0.12, 0.12, -0
 STILL_MM, MOST = 4e-3, 0.8
 WIDE = 4.0
 """Where rays graze, points miss by many sigma until the stud stands: the loss begins that much wider."""
-FAR_OUT = 4.5
+FAR_OUT = 2.5
 """How many times more than drawn studs must seem to lean on some of the points to be let: noise that all points of a
 stud share looks like a lean too. A smaller one is learnt from all points."""
 POOR_SHARE, POORER = 0.3, 0.17
 """A stud is tried again where a larger share of its points does not fit, or so much more than of the usual stud."""
+
+
+STEPS_MM = 0.12 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+"""Places about a likely one from which a stud is tried again."""
+PHASES, LIKELY = 20, 12
+"""Phases over a pitch that are looked at in each place; how many of the best are gone into."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +39,7 @@ class Start:
     """Where the fit begins: `own` (n, OWN), `shared` (SHARED,), what is known of them, and the thread's form.
 
     `expected_mm` (n, 2) are the studs' nominal places, up to a motion of all together; None for a stud by itself.
+    `noise_mm`: one sigma of the depths at least.
     """
 
     own: Array
@@ -40,6 +47,7 @@ class Start:
     priors: Priors
     form: Form
     expected_mm: Array | None = None
+    noise_mm: float = MIN_SIGMA_MM
 
     def only(self, chosen: NDArray[np.intp], shared: Array) -> Start:
         """Some of the studs, as often as they are named, beside shared parameters at hand."""
@@ -78,14 +86,18 @@ def thinned(stud: NDArray[np.intp], most: int) -> NDArray[np.intp]:
 
 def approach(
     rays: Rays, start: Start, own: Array, shared: Array, scale_mm: float, *, law: NoiseLaw | None = None,
-    rounds: int = 16, held: int = HELD_ROUNDS,
+    rounds: int = 16, held: int = HELD_ROUNDS, sure: bool = False,
 ) -> tuple[Array, Array, NoiseLaw]:  # fmt: skip
-    """Gauss-Newton with Tukey weights whose scale falls from `scale_mm` to what the residuals show."""
+    """Gauss-Newton with Tukey weights whose scale falls from `scale_mm` to what the residuals show, or to the scale of
+    `law` where that is `sure`."""
     held_priors = replace(start.priors, shared=np.minimum(start.priors.shared, HELD_MM))
-    known, law = (start.own, start.shared), law or NoiseLaw(scale_mm, SURELY_FLANK * float(start.shared[PITCH]))
+    known, deepest = (start.own, start.shared), SURELY_FLANK * float(start.shared[PITCH])
+    law = law or NoiseLaw(scale_mm, deepest, least_mm=start.noise_mm)
+    least = law.scale_mm
     for turn in range(rounds):
         met = depths(rays, own, shared, start.form)
-        law = scale_of(met, law, scale_mm * 0.5**turn if turn < 4 else 0.0)
+        wide = scale_mm * 0.5**turn if turn < 4 else 0.0
+        law = replace(law, scale_mm=max(wide, least)) if sure else scale_of(met, law, wide)
         priors = held_priors if turn < held else start.priors
         d_own, d_shared = _normal(met, law, rays.stud, len(own)).step((own, shared), known, priors)
         own, shared = own + np.clip(d_own, -0.3, 0.3), shared + np.clip(d_shared, -0.1, 0.1)
@@ -113,30 +125,38 @@ def _tried_again(rays: Rays, start: Start, own: Array, shared: Array, law: Noise
     poor = misfits > min(POOR_SHARE, float(np.median(misfits)) + POORER)
     if not poor.any() or not start.form.hand:
         return own, shared, law
-    places = _other_places(start, own, poor)
-    tried = np.tile(np.flatnonzero(poor), len(places))
-    part = start.only(tried, shared)
     rows = np.flatnonzero(poor[rays.stud])
-    stud = (np.cumsum(poor) - 1)[rays.stud[rows]]
-    count = int(np.count_nonzero(poor))
-    numbers = np.concatenate([stud + turn * count for turn in range(len(places))])
-    some = Rays(np.tile(rays.points[:, rows], len(places)), np.tile(rays.directions[:, rows], len(places)), numbers)
-    trial = part.own.copy()
-    trial[:, :2] = np.concatenate(places)
-    trial[:, 4] = best_phase(some, trial, shared, part.form, steps=20)
-    trial, _, _ = approach(some, part, trial, shared, WIDE * law.scale_mm, law=law, rounds=9, held=9)
-    now = _misfit(some, trial, shared, part.form, law).reshape(len(places), count)
-    best = np.argmin(now, axis=0)
-    better = now[best, np.arange(count)] < misfits[poor]
-    if not better.any():
-        return own, shared, law
+    once = Rays(rays.points[:, rows], rays.directions[:, rows], (np.cumsum(poor) - 1)[rays.stud[rows]])
+    trials = _likeliest(once, start, shared, _other_places(start, own, poor), np.flatnonzero(poor))
+    times, count = trials.shape[:2]
+    some = _repeated(once, times, count)
+    part = replace(start.only(np.tile(np.flatnonzero(poor), times), shared), own=trials.reshape(times * count, -1))
+    # what does not fit says nothing about the noise
+    found, _, _ = approach(some, part, part.own, shared, WIDE * law.scale_mm, law=law, rounds=9, held=9, sure=True)
+    losses = _misfit(some, found, shared, part.form, law).reshape(times, count)
+    best, each = np.argmin(losses, axis=0), np.arange(count)
+    better = losses[best, each] < misfits[poor]
     own = own.copy()
-    own[np.flatnonzero(poor)[better]] = trial.reshape(len(places), count, -1)[best, np.arange(count)][better]
+    own[np.flatnonzero(poor)[better]] = found.reshape(trials.shape)[best, each][better]
     return own, shared, law
 
 
-def _other_places(start: Start, own: Array, poor: NDArray[np.bool_]) -> list[Array]:
-    """Places (k, 2) at which the poor studs may stand: where they began, and where the others say that they are."""
+def _likeliest(rays: Rays, start: Start, shared: Array, places: Array, poor: NDArray[np.intp]) -> Array:
+    """Own parameters (LIKELY, n, OWN) of the poor studs at the places (k, n, 2) and phases that look best."""
+    studs, steps = len(poor), PHASES
+    part = start.only(np.tile(poor, len(places)), shared)
+    own = part.own.copy()
+    own[:, :2] = places.reshape(-1, 2)
+    phases = own[:, 4] + shared[PITCH] * np.arange(steps)[:, None] / steps
+    costs = _trials(_repeated(rays, len(places), studs), own, shared, part.form, 4, phases)
+    best = np.argsort(costs.reshape(-1, studs), axis=0, kind="stable")[:LIKELY]
+    likely = own.reshape(len(places), studs, -1)[best % len(places), np.arange(studs)]
+    likely[:, :, 4] += shared[PITCH] * (best // len(places)) / steps
+    return likely
+
+
+def _other_places(start: Start, own: Array, poor: NDArray[np.bool_]) -> Array:
+    """Places (k, n, 2) at which the poor studs may stand: about where they began, and where the others say they are."""
     places = [start.own[poor, :2]]
     if start.expected_mm is not None and np.count_nonzero(~poor) >= 3:
         # z -> turn z + shift in the complex plane, least squares over the studs that fit
@@ -146,7 +166,7 @@ def _other_places(start: Start, own: Array, poor: NDArray[np.bool_]) -> list[Arr
         turn = np.vdot(arm[~poor], found - found.mean()) / np.vdot(arm[~poor], arm[~poor])
         moved = found.mean() + turn * arm
         places.append(np.column_stack([moved.real, moved.imag])[poor])
-    return places
+    return np.concatenate([np.stack(places) + step for step in STEPS_MM])
 
 
 def _other_radius(rays: Rays, start: Start, own: Array, shared: Array, law: NoiseLaw) -> tuple[Array, Array, NoiseLaw]:
@@ -187,22 +207,29 @@ def _misfit(rays: Rays, own: Array, shared: Array, form: Form, law: NoiseLaw) ->
 def best_phase(rays: Rays, own: Array, shared: Array, form: Form, *, steps: int = 16) -> Array:
     """Phase (n,) in mm that fits each stud best among `steps` over one pitch, by a bounded cost."""
     phases = own[:, 4] + shared[PITCH] * np.arange(steps)[:, None] / steps
-    costs = []
-    for phase in phases:
-        trial = own.copy()
-        trial[:, 4] = phase
-        costs.append(_cost(rays, trial, shared, form))
+    costs = _trials(rays, own, shared, form, 4, phases)
     return np.asarray(phases[np.argmin(costs, axis=0), np.arange(len(own))])
 
 
 def best_lead_in(rays: Rays, own: Array, shared: Array, form: Form, depths_mm: Array) -> float:
     """How far below the tip the lead-in begins, among `depths_mm`: the same for all studs."""
-    costs = []
-    for depth in depths_mm:
-        trial = own.copy()
-        trial[:, 5] = form.tip_mm - depth
-        costs.append(float(_cost(rays, trial, shared, form).sum()))
-    return float(depths_mm[int(np.argmin(costs))])
+    costs = _trials(rays, own, shared, form, 5, form.tip_mm - depths_mm[:, None])
+    return float(depths_mm[int(np.argmin(costs.sum(axis=1)))])
+
+
+def _trials(rays: Rays, own: Array, shared: Array, form: Form, which: int, values: Array) -> Array:
+    """Costs (k, n) of each stud with each of the `values` (k, n) for one of its parameters, all in one go."""
+    trials = len(values)
+    own = np.tile(own, (trials, 1))
+    own[:, which] = values.ravel()
+    form = replace(form, tip_mm=np.tile(form.tip_mm, trials), extra_mm=np.tile(form.extra_mm, trials))
+    return _cost(_repeated(rays, trials, values.shape[1]), own, shared, form).reshape(values.shape)
+
+
+def _repeated(rays: Rays, times: int, studs: int) -> Rays:
+    """The same rays again and again, each time on `studs` further ones."""
+    stud = (rays.stud + studs * np.arange(times)[:, None]).ravel()
+    return Rays(np.tile(rays.points, times), np.tile(rays.directions, times), stud)
 
 
 def _cost(rays: Rays, own: Array, shared: Array, form: Form) -> Array:

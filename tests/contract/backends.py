@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator, Coroutine, Mapping
 from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
 from typing import Any, Protocol
 
-from hal.clock import run_virtual
+from hal.clock import QuickenedLoop, run_virtual
 from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
 from hal.fake.levels import Level
@@ -19,6 +21,7 @@ OPEN_FIT = {"fit_interference_mm": -0.2}
 """The spigot has play, so that the faces meet where the jack brings them."""
 COUNT = 12
 """Studs of the joint that the cases work on."""
+SPEED = 20.0
 
 
 @dataclass
@@ -31,7 +34,7 @@ class Bench:
 
 
 class Backend(Protocol):
-    """How a device of the cell file is had, connected unless `connect` is false."""
+    """How a device of the cell file is had, connected unless `connect` is false, and the loop that a case runs on."""
 
     name: str
 
@@ -39,19 +42,27 @@ class Backend(Protocol):
         self, device: str, *faults: Fault, connect: bool = True, level: Level = "ideal"
     ) -> contextlib.AbstractAsyncContextManager[Bench]: ...
 
+    def run(self, main: Coroutine[Any, Any, None]) -> None: ...
 
-class FakeBackend:
-    """Fakes in this process, under virtual time."""
 
-    name = "fake"
+class Installed(Protocol):
+    """How one device of the cell file stands on a plant, not connected: itself and all that it needs around it."""
 
-    @contextlib.asynccontextmanager
-    async def bench(
-        self, device: str, *faults: Fault, connect: bool = True, level: Level = "ideal"
-    ) -> AsyncIterator[Bench]:
-        plant = Plant(JointGeometry(tuple(360.0 * i / COUNT for i in range(COUNT))), TwinSettings(3, level, OPEN_FIT))
-        book = FaultBook(faults)
-        made = fake_device(device, plant, book)
+    def __call__(self, name: str, plant: Plant, faults: FaultBook) -> contextlib.AbstractAsyncContextManager[Any]: ...
+
+
+def plant_of(level: Level) -> Plant:
+    """The twin that all cases work on."""
+    return Plant(JointGeometry(tuple(360.0 * i / COUNT for i in range(COUNT))), TwinSettings(3, level, OPEN_FIT))
+
+
+@contextlib.asynccontextmanager
+async def on_bench(
+    installed: Installed, device: str, faults: tuple[Fault, ...], connect: bool, level: Level
+) -> AsyncIterator[Bench]:
+    """A device on a plant of its own, closed in the end."""
+    plant, book = plant_of(level), FaultBook(faults)
+    async with installed(device, plant, book) as made:
         if connect:
             await made.connect()
         try:
@@ -60,15 +71,49 @@ class FakeBackend:
             await made.close()
 
 
-def run(main: Coroutine[Any, Any, None]) -> None:
-    """Run one case under virtual time; it must leave no task behind."""
+class FakeBackend:
+    """Fakes in this process, under virtual time."""
 
-    async def whole() -> None:
-        await main
-        left = [task.get_name() for task in asyncio.all_tasks() if task is not asyncio.current_task()]
-        assert not left, f"tasks left: {left}"
+    name = "fake"
 
-    run_virtual(whole())
+    def bench(
+        self, device: str, *faults: Fault, connect: bool = True, level: Level = "ideal"
+    ) -> contextlib.AbstractAsyncContextManager[Bench]:
+        return on_bench(self._installed, device, faults, connect, level)
+
+    @contextlib.asynccontextmanager
+    async def _installed(self, name: str, plant: Plant, faults: FaultBook) -> AsyncIterator[Any]:
+        yield fake_device(name, plant, faults)
+
+    def run(self, main: Coroutine[Any, Any, None]) -> None:
+        run_virtual(alone(main))
 
 
-BACKENDS: tuple[Backend, ...] = (FakeBackend(),)
+class WireBackend:
+    """The real backend over its own protocol to a simulator with the plant behind it, `SPEED` times as fast."""
+
+    name = "wire"
+
+    def __init__(self, installed: Installed) -> None:
+        self._installed = installed
+
+    def bench(
+        self, device: str, *faults: Fault, connect: bool = True, level: Level = "ideal"
+    ) -> contextlib.AbstractAsyncContextManager[Bench]:
+        return on_bench(self._installed, device, faults, connect, level)
+
+    def run(self, main: Coroutine[Any, Any, None]) -> None:
+        with asyncio.Runner(loop_factory=partial(QuickenedLoop, SPEED)) as runner:
+            runner.run(alone(main))
+
+
+async def alone(main: Coroutine[Any, Any, None]) -> None:
+    """Run one case; it must leave no task behind."""
+    await main
+    left = [task.get_name() for task in asyncio.all_tasks() if task is not asyncio.current_task()]
+    assert not left, f"tasks left: {left}"
+
+
+FAKE = FakeBackend()
+BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType({})
+"""By test file, where there are others than the fakes; each has a module `wire_...` of its own beside this one."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from tests.contract.backends import BACKENDS, Backend
+from tests.contract.backends import BACKENDS, FAKE
 
 
-@pytest.fixture(params=BACKENDS, ids=lambda backend: str(backend.name))
-def backend(request: pytest.FixtureRequest) -> Backend:
-    made: Backend = request.param
-    return made
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """The backends of the case's own file."""
+    if "backend" in metafunc.fixturenames:
+        file = metafunc.module.__name__.rsplit(".", 1)[-1]
+        metafunc.parametrize("backend", BACKENDS.get(file, (FAKE,)), ids=lambda backend: str(backend.name))

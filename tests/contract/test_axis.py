@@ -9,7 +9,7 @@ import pytest
 
 from hal.errors import DeviceFault, DeviceRefused, Interrupted, NotConnected, SafetyOpen
 from hal.fake.faults import Fault
-from tests.contract.backends import Backend, run
+from tests.contract.backends import Backend
 
 AXES = {"stage_x": "mm", "stage_y": "mm", "jack": "mm", "shaft_table": "deg", "gun_table": "deg", "gun_feed": "mm"}
 EVERY = pytest.mark.parametrize("name", AXES)
@@ -32,7 +32,7 @@ def test_it_moves_only_once_homed_and_reads_back_where_it_stands(backend: Backen
             assert 2.0 <= asyncio.get_running_loop().time() - began < 3.0
             assert (await axis.read()).position == state.position
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -53,7 +53,7 @@ def test_it_keeps_its_limits(backend: Backend, name: str) -> None:
             await axis.move_to(far, speed=100.0 * axis.limits.max_speed)
             assert asyncio.get_running_loop().time() - began >= far / axis.limits.max_speed
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -81,7 +81,7 @@ def test_a_halt_interrupts_and_the_old_target_is_never_resumed(backend: Backend,
             assert (await axis.read()).position == here
             assert (await axis.move_to(0.0, speed=speed)).position == pytest.approx(0.0, abs=0.01)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -98,7 +98,7 @@ def test_a_motion_whose_caller_is_gone_does_not_go_on(backend: Backend, name: st
             await asyncio.sleep(5.0)
             assert (await axis.read()).position == here < axis.limits.high
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -121,7 +121,7 @@ def test_what_a_failing_drive_says(backend: Backend, name: str, kind: str, error
             if kind == "home_lost":
                 assert not (await axis.read()).homed
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -144,7 +144,7 @@ def test_a_drive_without_power_stops_by_itself_and_needs_a_rearm(backend: Backen
             await axis.rearm()
             assert (await axis.move_to(0.0, speed=1.0)).position == pytest.approx(0.0, abs=0.01)
 
-    run(main())
+    backend.run(main())
 
 
 def test_unconnected_it_does_nothing(backend: Backend) -> None:
@@ -156,4 +156,4 @@ def test_unconnected_it_does_nothing(backend: Backend) -> None:
             with pytest.raises(NotConnected):
                 await bench.device.move_to(1.0, speed=1.0)
 
-    run(main())
+    backend.run(main())

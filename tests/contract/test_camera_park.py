@@ -8,7 +8,7 @@ import pytest
 
 from hal.errors import DeviceFault, DeviceRefused, DeviceTimeout, Interrupted, SafetyOpen
 from hal.fake.faults import Fault
-from tests.contract.backends import Backend, run
+from tests.contract.backends import Backend
 
 
 def test_it_swings_from_place_to_place_and_takes_its_time(backend: Backend) -> None:
@@ -24,7 +24,7 @@ def test_it_swings_from_place_to_place_and_takes_its_time(backend: Backend) -> N
             await bench.device.go("parked")
             assert asyncio.get_running_loop().time() == before, "there already"
 
-    run(main())
+    backend.run(main())
 
 
 def test_on_its_way_it_is_nowhere(backend: Backend) -> None:
@@ -41,7 +41,7 @@ def test_on_its_way_it_is_nowhere(backend: Backend) -> None:
             assert (await bench.device.read()).position is None
             assert (await bench.device.go("parked")).position == "parked"
 
-    run(main())
+    backend.run(main())
 
 
 @pytest.mark.parametrize("kind", ["stuck_between", "disagree"])
@@ -53,7 +53,7 @@ def test_an_arm_that_does_not_arrive_says_so(backend: Backend, kind: str) -> Non
                 await bench.device.go("rotor")
             assert (await bench.device.read()).position is None
 
-    run(main())
+    backend.run(main())
 
 
 def test_wrong_places_and_lost_power_are_refused(backend: Backend) -> None:
@@ -66,7 +66,7 @@ def test_wrong_places_and_lost_power_are_refused(backend: Backend) -> None:
                 await bench.device.go("rotor")
             assert (await bench.device.read()).position == "parked"
 
-    run(main())
+    backend.run(main())
 
 
 def test_an_arm_that_hangs_on_its_way_is_not_believed_to_have_arrived(backend: Backend) -> None:
@@ -77,4 +77,4 @@ def test_an_arm_that_hangs_on_its_way_is_not_believed_to_have_arrived(backend: B
             await asyncio.sleep(60.0)
             assert (await bench.device.read()).position is None
 
-    run(main())
+    backend.run(main())

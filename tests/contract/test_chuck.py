@@ -8,7 +8,7 @@ import pytest
 
 from hal.errors import DeviceFault, Interrupted, NotConnected, SafetyOpen
 from hal.fake.faults import Fault
-from tests.contract.backends import Backend, run
+from tests.contract.backends import Backend
 
 
 def test_it_releases_and_clamps_with_both_feedbacks(backend: Backend) -> None:
@@ -27,7 +27,7 @@ def test_it_releases_and_clamps_with_both_feedbacks(backend: Backend) -> None:
             assert (await bench.device.clamp()).clamped_1
             assert asyncio.get_running_loop().time() == before, "clamped already"
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_halt_interrupts_the_jaws(backend: Backend) -> None:
@@ -43,7 +43,7 @@ def test_a_halt_interrupts_the_jaws(backend: Backend) -> None:
                 await release
             assert (await bench.device.safe()).safe
 
-    run(main())
+    backend.run(main())
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_what_its_feedbacks_say_when_it_fails(backend: Backend, fault: Fault, fe
                 with pytest.raises(DeviceFault, match="feedbacks"):
                     await bench.device.clamp()
 
-    run(main())
+    backend.run(main())
 
 
 def test_no_power_no_jaws(backend: Backend) -> None:
@@ -81,7 +81,7 @@ def test_no_power_no_jaws(backend: Backend) -> None:
             assert bench.plant.chuck_clamped
             assert (await bench.device.read()).clamped_1
 
-    run(main())
+    backend.run(main())
 
 
 def test_unconnected_it_answers_nothing(backend: Backend) -> None:
@@ -91,4 +91,4 @@ def test_unconnected_it_answers_nothing(backend: Backend) -> None:
                 with pytest.raises(NotConnected):
                     await command()
 
-    run(main())
+    backend.run(main())

@@ -8,7 +8,7 @@ import pytest
 
 from hal.errors import DeviceTimeout, NotConnected
 from hal.fake.faults import EXCHANGE_DEADLINE_S, Fault
-from tests.contract.backends import Backend, run
+from tests.contract.backends import Backend
 from tests.contract.fakes import DEVICES
 
 EVERY = pytest.mark.parametrize("name", DEVICES)
@@ -25,7 +25,7 @@ def test_it_says_who_it_is(backend: Backend, name: str) -> None:
             assert all((identity.vendor, identity.model, identity.serial, identity.firmware))
             assert await bench.device.connect() == identity
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -40,7 +40,7 @@ def test_at_rest_it_halts_is_safe_and_rearms(backend: Backend, name: str) -> Non
             await bench.device.rearm()
             assert (await bench.device.safe()).safe
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -53,7 +53,7 @@ def test_gone_it_fails_at_once(backend: Backend, name: str, command: str) -> Non
                 await getattr(bench.device, command)()
             assert asyncio.get_running_loop().time() == pytest.approx(1.0, abs=0.1)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -71,7 +71,7 @@ def test_hung_it_misses_its_own_deadline_and_can_be_given_up(backend: Backend, n
                 await getattr(bench.device, command)()
             assert loop.time() <= 1.1 + 2 * EXCHANGE_DEADLINE_S
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -82,7 +82,7 @@ def test_back_from_hanging_it_answers(backend: Backend, name: str) -> None:
             assert (await bench.device.safe()).safe
             assert asyncio.get_running_loop().time() == pytest.approx(1.5, abs=0.1)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -98,7 +98,7 @@ def test_it_does_not_connect_where_nothing_answers_and_always_closes(backend: Ba
             await bench.device.connect()
             assert (await bench.device.safe()).safe
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -110,4 +110,4 @@ def test_slow_answers_within_the_deadline_are_still_answers(backend: Backend, na
             await bench.device.halt()
             assert asyncio.get_running_loop().time() == pytest.approx(1.0 + late_s, abs=0.1)
 
-    run(main())
+    backend.run(main())

@@ -11,7 +11,7 @@ import pytest
 
 from hal.errors import DeviceTimeout, NotConnected
 from hal.fake.faults import Fault
-from tests.contract.backends import Backend, Bench, run
+from tests.contract.backends import Backend, Bench
 
 SENSORS = ("jack_force", "gun_force_a", "gun_force_b")
 EVERY = pytest.mark.parametrize("name", SENSORS)
@@ -38,7 +38,7 @@ def test_samples_come_at_its_rate_numbered_without_a_gap(backend: Backend, name:
             assert 0.0 <= asyncio.get_running_loop().time() - newest <= 2 * period
             assert np.isfinite(first.samples_n).all()
 
-    run(main())
+    backend.run(main())
 
 
 def test_the_jack_carries_the_shaft_and_a_gun_nothing(backend: Backend) -> None:
@@ -50,7 +50,7 @@ def test_the_jack_carries_the_shaft_and_a_gun_nothing(backend: Backend) -> None:
                 block = await bench.device.block(100)
                 assert float(block.samples_n.mean()) == pytest.approx(force_n, abs=tolerance_n)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -68,7 +68,7 @@ def test_it_wakes_its_reader_with_the_first_sample_outside_the_window(backend: B
             assert ((block.samples_n[:-1] >= low) & (block.samples_n[:-1] <= high)).all()
             assert asyncio.get_running_loop().time() == pytest.approx(1.0, abs=2 / sensor.rate_hz)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -81,7 +81,7 @@ def test_not_a_number_always_wakes_it(backend: Backend, name: str) -> None:
             assert np.isfinite(block.samples_n[:-1]).all()
             assert asyncio.get_running_loop().time() == pytest.approx(1.0, abs=2 / bench.device.rate_hz)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -96,7 +96,7 @@ def test_a_live_signal_is_never_perfectly_still_and_a_stuck_one_is(backend: Back
             await asyncio.sleep(0.1)
             assert len(set((await bench.device.block(50)).samples_n.tolist()[-20:])) == 1
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -110,7 +110,7 @@ def test_missing_samples_show_in_the_numbering(backend: Backend, name: str) -> N
             assert set(steps[:2]) == {10}
             assert any(step > 10 for step in steps)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -125,7 +125,7 @@ def test_a_stream_that_stops_brings_nothing_old(backend: Backend, name: str) -> 
                         block = await bench.device.block(10)
                         assert block.time_s <= 1.1, "taken before the stream stopped"
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -135,4 +135,4 @@ def test_unconnected_it_streams_nothing(backend: Backend, name: str) -> None:
             with pytest.raises(NotConnected):
                 await bench.device.block(1)
 
-    run(main())
+    backend.run(main())

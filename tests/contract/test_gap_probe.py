@@ -10,7 +10,7 @@ import pytest
 from hal.errors import NotConnected
 from hal.fake.faults import Fault
 from hal.interfaces import Quality
-from tests.contract.backends import Backend, Bench, run
+from tests.contract.backends import Backend, Bench
 
 PROBES = ("gap_probe_1", "gap_probe_2", "gap_probe_3")
 
@@ -35,7 +35,7 @@ def test_it_measures_the_gap_in_millimetres(backend: Backend, name: str, gap_mm:
             assert readings[0].quality is Quality.GOOD
             assert readings[0].time_s == asyncio.get_running_loop().time()
 
-    run(main())
+    backend.run(main())
 
 
 def test_beyond_its_range_it_says_so(backend: Backend) -> None:
@@ -48,7 +48,7 @@ def test_beyond_its_range_it_says_so(backend: Backend) -> None:
             assert reading.quality is Quality.BAD
             assert reading.value == 2.0
 
-    run(main())
+    backend.run(main())
 
 
 def test_failures_reach_the_reading(backend: Backend) -> None:
@@ -74,7 +74,7 @@ def test_failures_reach_the_reading(backend: Backend) -> None:
                     assert after.time_s == before.time_s
 
     for kind, value in (("nan", None), ("out_of_range", 3.0), ("stuck", None), ("drift", 0.01), ("stale", None)):
-        run(main(kind, value))
+        backend.run(main(kind, value))
 
 
 def test_unconnected_it_reads_nothing(backend: Backend) -> None:
@@ -83,4 +83,4 @@ def test_unconnected_it_reads_nothing(backend: Backend) -> None:
             with pytest.raises(NotConnected):
                 await bench.device.read()
 
-    run(main())
+    backend.run(main())

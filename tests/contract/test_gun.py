@@ -10,7 +10,7 @@ import pytest
 from hal.errors import DeviceRefused, Interrupted, NotConnected, SafetyOpen, UnknownOutcome
 from hal.fake.faults import Fault
 from hal.interfaces import Band, TighteningProgram
-from tests.contract.backends import Backend, Bench, run
+from tests.contract.backends import Backend, Bench
 
 NAMES = ("gun_a", "gun_b")
 EVERY = pytest.mark.parametrize("name", NAMES)
@@ -65,7 +65,7 @@ def test_a_program_runs_once_and_leaves_its_result_under_its_key(backend: Backen
             assert second.tightening_id > result.tightening_id
             assert second.controller_serial == result.controller_serial
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -86,7 +86,7 @@ def test_a_halt_stops_the_spindle_and_leaves_no_result(backend: Backend, name: s
             with pytest.raises(DeviceRefused):
                 await bench.device.tighten("k1", PROGRAM)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -101,7 +101,7 @@ def test_a_lost_result_is_an_unknown_outcome_that_the_controller_still_knows(bac
             assert stored.key == "k1"
             assert (await bench.device.tighten("k2", PROGRAM)).key == "k2", "lost once"
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -114,7 +114,7 @@ def test_a_repeated_result_carries_its_old_key_and_number(backend: Backend, name
             again = await bench.device.tighten("k2", PROGRAM)
             assert (again.key, again.tightening_id) == ("k1", first.tightening_id)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -132,7 +132,7 @@ def test_a_turn_ends_at_its_angle_or_its_torque(backend: Backend, name: str) -> 
             assert blocked.angle_deg < 36_000.0
             assert blocked.peak_torque_nm == pytest.approx(8.0, rel=0.2)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -143,7 +143,7 @@ def test_speeds_that_are_none_are_refused(backend: Backend, name: str) -> None:
                 with pytest.raises(DeviceRefused):
                     await bench.device.turn(10.0, speed_rpm=speed, torque_limit_nm=5.0)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -157,7 +157,7 @@ def test_without_power_the_spindle_stands(backend: Backend, name: str) -> None:
             with pytest.raises(SafetyOpen):
                 await bench.device.tighten("k1", PROGRAM)
 
-    run(main())
+    backend.run(main())
 
 
 def test_unconnected_it_does_nothing(backend: Backend) -> None:
@@ -168,4 +168,4 @@ def test_unconnected_it_does_nothing(backend: Backend) -> None:
             with pytest.raises(NotConnected):
                 await bench.device.result("k1")
 
-    run(main())
+    backend.run(main())

@@ -9,7 +9,7 @@ import pytest
 
 from hal.errors import DeviceError, DeviceRefused, NotConnected, SafetyOpen
 from hal.fake.faults import Fault
-from tests.contract.backends import Backend, Bench, run
+from tests.contract.backends import Backend, Bench
 
 
 async def heat(bench: Bench, setpoint_c: float = 60.0) -> None:
@@ -37,7 +37,7 @@ def test_it_heats_to_the_setpoint_within_its_power_and_goes_off(backend: Backend
             assert (off.on, off.power_w) == (False, 0.0)
             assert (await bench.device.safe()).safe
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_halt_is_off_and_nothing_is_resumed(backend: Backend) -> None:
@@ -53,7 +53,7 @@ def test_a_halt_is_off_and_nothing_is_resumed(backend: Backend) -> None:
             assert (state.on, state.power_w) == (False, 0.0)
             assert state.setpoint_c == pytest.approx(bench.plant.thermal.shaft_c, abs=15.0)
 
-    run(main())
+    backend.run(main())
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_what_it_cannot_keep_it_refuses(backend: Backend, setpoint_c: float, ram
                 await bench.device.heat(setpoint_c, ramp_k_per_min=ramp, max_power_w=power_w)
             assert not (await bench.device.read()).on
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_broken_loop_is_power_without_a_rise(backend: Backend) -> None:
@@ -86,7 +86,7 @@ def test_a_broken_loop_is_power_without_a_rise(backend: Backend) -> None:
             assert (await bench.device.read()).power_w > 100.0
             assert bench.plant.thermal.shaft_c == pytest.approx(20.0, abs=0.5)
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_power_stage_that_sticks_is_switched_off_by_the_contactor(backend: Backend) -> None:
@@ -102,7 +102,7 @@ def test_a_power_stage_that_sticks_is_switched_off_by_the_contactor(backend: Bac
             await bench.device.halt()
             assert (await bench.device.safe()).safe, "the contactor is not the power stage"
 
-    run(main())
+    backend.run(main())
 
 
 @pytest.mark.parametrize("kind", ["watchdog_trip", "over_temperature"])
@@ -120,7 +120,7 @@ def test_its_own_protection_takes_the_power_and_says_why(backend: Backend, kind:
             await bench.device.rearm()
             assert (await bench.device.read()).alarm == ""
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_setpoint_that_is_not_taken_is_read_back_as_it_is(backend: Backend) -> None:
@@ -132,7 +132,7 @@ def test_a_setpoint_that_is_not_taken_is_read_back_as_it_is(backend: Backend) ->
                 return
             assert state.setpoint_c != 60.0
 
-    run(main())
+    backend.run(main())
 
 
 def test_no_power_no_heat(backend: Backend) -> None:
@@ -145,7 +145,7 @@ def test_no_power_no_heat(backend: Backend) -> None:
             with pytest.raises(SafetyOpen):
                 await heat(bench)
 
-    run(main())
+    backend.run(main())
 
 
 def test_unconnected_it_does_nothing(backend: Backend) -> None:
@@ -155,4 +155,4 @@ def test_unconnected_it_does_nothing(backend: Backend) -> None:
                 with pytest.raises(NotConnected):
                     await command()
 
-    run(main())
+    backend.run(main())

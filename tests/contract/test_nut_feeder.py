@@ -8,7 +8,7 @@ import pytest
 
 from hal.errors import DeviceRefused, Interrupted, SafetyOpen
 from hal.fake.faults import Fault
-from tests.contract.backends import COUNT, Backend, run
+from tests.contract.backends import COUNT, Backend
 
 
 def test_it_loads_one_nut_and_counts_it(backend: Backend) -> None:
@@ -24,7 +24,7 @@ def test_it_loads_one_nut_and_counts_it(backend: Backend) -> None:
                 await bench.device.load("a")
             assert await bench.device.count() == full - 1
 
-    run(main())
+    backend.run(main())
 
 
 def test_both_guns_are_loaded_at_once(backend: Backend) -> None:
@@ -33,7 +33,7 @@ def test_both_guns_are_loaded_at_once(backend: Backend) -> None:
             assert await asyncio.gather(bench.device.load("a"), bench.device.load("b")) == [True, True]
             assert bench.plant.joints.socket_has_nut("b")
 
-    run(main())
+    backend.run(main())
 
 
 def test_an_empty_magazine_and_a_missing_nut_are_told(backend: Backend) -> None:
@@ -49,7 +49,7 @@ def test_an_empty_magazine_and_a_missing_nut_are_told(backend: Backend) -> None:
             assert await bench.device.count() == 0
             assert await bench.device.load("b") is False
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_wrong_counter_is_wrong_by_its_error(backend: Backend) -> None:
@@ -59,7 +59,7 @@ def test_a_wrong_counter_is_wrong_by_its_error(backend: Backend) -> None:
             await asyncio.sleep(1.0)
             assert await bench.device.count() == full - 3
 
-    run(main())
+    backend.run(main())
 
 
 def test_guns_must_be_back(backend: Backend) -> None:
@@ -70,7 +70,7 @@ def test_guns_must_be_back(backend: Backend) -> None:
             with pytest.raises(DeviceRefused, match="not back"):
                 await bench.device.load("a")
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_halt_on_the_way_loads_nothing(backend: Backend) -> None:
@@ -87,7 +87,7 @@ def test_a_halt_on_the_way_loads_nothing(backend: Backend) -> None:
             with pytest.raises(SafetyOpen):
                 await bench.device.load("a")
 
-    run(main())
+    backend.run(main())
 
 
 def test_new_parts_come_with_a_full_magazine(backend: Backend) -> None:
@@ -98,4 +98,4 @@ def test_new_parts_come_with_a_full_magazine(backend: Backend) -> None:
             bench.plant.load_parts("R-2", "S-2")
             assert await bench.device.count() == full
 
-    run(main())
+    backend.run(main())

@@ -8,7 +8,7 @@ import pytest
 
 from hal.errors import DeviceFault, DeviceRefused
 from hal.fake.faults import Fault
-from tests.contract.backends import Backend, run
+from tests.contract.backends import Backend
 
 
 def test_the_ordered_parts_come_in_unclamped(backend: Backend) -> None:
@@ -25,7 +25,7 @@ def test_the_ordered_parts_come_in_unclamped(backend: Backend) -> None:
             await bench.device.present("R-7", "S-7")
             assert bench.plant.shaft.T_chuck_shaft.tolist() == first.T_chuck_shaft.tolist(), "same serial, same part"
 
-    run(main())
+    backend.run(main())
 
 
 def test_another_part_is_told_by_its_serial_number(backend: Backend) -> None:
@@ -35,7 +35,7 @@ def test_another_part_is_told_by_its_serial_number(backend: Backend) -> None:
             assert rotor == "R-7"
             assert shaft != "S-7"
 
-    run(main())
+    backend.run(main())
 
 
 def test_an_unreadable_code_is_a_fault(backend: Backend) -> None:
@@ -44,7 +44,7 @@ def test_an_unreadable_code_is_a_fault(backend: Backend) -> None:
             with pytest.raises(DeviceFault, match="serial"):
                 await bench.device.present("R-7", "S-7")
 
-    run(main())
+    backend.run(main())
 
 
 def test_parts_go_in_only_with_the_jack_down(backend: Backend) -> None:
@@ -57,4 +57,4 @@ def test_parts_go_in_only_with_the_jack_down(backend: Backend) -> None:
                 await bench.device.present("R-7", "S-7")
             assert bench.plant.shaft is shaft
 
-    run(main())
+    backend.run(main())

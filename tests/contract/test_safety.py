@@ -8,7 +8,7 @@ import pytest
 
 from hal.errors import DeviceTimeout
 from hal.fake.faults import Fault
-from tests.contract.backends import Backend, run
+from tests.contract.backends import Backend
 
 
 def test_everything_closed_is_ok(backend: Backend) -> None:
@@ -18,7 +18,7 @@ def test_everything_closed_is_ok(backend: Backend) -> None:
             assert state.ok
             assert state.time_s == asyncio.get_running_loop().time()
 
-    run(main())
+    backend.run(main())
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_each_open_input_is_seen_and_stops_the_cell(
             await asyncio.sleep(1.0)
             assert (await bench.device.read()).ok == (kind != "bench_moved")
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_moved_bench_stays_moved_until_it_is_rearmed_with_the_cause_gone(backend: Backend) -> None:
@@ -60,7 +60,7 @@ def test_a_moved_bench_stays_moved_until_it_is_rearmed_with_the_cause_gone(backe
             await bench.device.rearm()
             assert (await bench.device.read()).ok
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_mirror_that_hangs_gives_no_old_answer(backend: Backend) -> None:
@@ -71,4 +71,4 @@ def test_a_mirror_that_hangs_gives_no_old_answer(backend: Backend) -> None:
             with pytest.raises(DeviceTimeout):
                 await bench.device.read()
 
-    run(main())
+    backend.run(main())

@@ -9,7 +9,7 @@ import pytest
 
 from hal.errors import DeviceRefused, DeviceTimeout, Interrupted
 from hal.fake.faults import Fault
-from tests.contract.backends import Backend, run
+from tests.contract.backends import Backend
 
 
 def test_each_capture_is_a_new_organised_frame_of_its_view(backend: Backend) -> None:
@@ -26,7 +26,7 @@ def test_each_capture_is_a_new_organised_frame_of_its_view(backend: Backend) -> 
             assert 0.0 < first.time_s < second.time_s
             assert asyncio.get_running_loop().time() > 0.5, "a capture takes its time"
 
-    run(main())
+    backend.run(main())
 
 
 def test_the_same_seed_and_capture_give_the_same_cloud(backend: Backend) -> None:
@@ -38,7 +38,7 @@ def test_the_same_seed_and_capture_give_the_same_cloud(backend: Backend) -> None
                 clouds.append((await bench.device.capture("rotor")).points_mm)
         assert np.array_equal(*clouds)
 
-    run(main())
+    backend.run(main())
 
 
 def test_it_takes_no_picture_of_what_it_does_not_look_at(backend: Backend) -> None:
@@ -49,7 +49,7 @@ def test_it_takes_no_picture_of_what_it_does_not_look_at(backend: Backend) -> No
                 with pytest.raises(DeviceRefused):
                     await bench.device.capture("shaft")
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_halt_ends_the_exposure(backend: Backend) -> None:
@@ -66,7 +66,7 @@ def test_a_halt_ends_the_exposure(backend: Backend) -> None:
                 await capture
             assert (await bench.device.safe()).safe
 
-    run(main())
+    backend.run(main())
 
 
 @pytest.mark.parametrize("kind", ["no_frame", "half_frame", "all_invalid", "wrong_unit", "old_frame"])
@@ -92,4 +92,4 @@ def test_how_it_fails(backend: Backend, kind: str) -> None:
                 case _:
                     assert frame.frame_id == good.frame_id
 
-    run(main())
+    backend.run(main())

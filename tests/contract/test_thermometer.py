@@ -10,7 +10,7 @@ import pytest
 from hal.errors import NotConnected
 from hal.fake.faults import Fault
 from hal.interfaces import Quality
-from tests.contract.backends import Backend, run
+from tests.contract.backends import Backend
 
 CHANNELS = ("spigot_tc_1", "spigot_tc_2", "pyrometer", "rotor_tc")
 EVERY = pytest.mark.parametrize("name", CHANNELS)
@@ -28,7 +28,7 @@ def test_it_reads_the_room_in_degrees_celsius(backend: Backend, name: str) -> No
             assert all(reading.quality is Quality.GOOD for reading in readings)
             assert [reading.time_s for reading in readings] == sorted({reading.time_s for reading in readings})
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -55,7 +55,7 @@ def test_failures_reach_the_reading(backend: Backend, name: str, kind: str, valu
                 case "stale":
                     assert after.time_s == before.time_s
 
-    run(main())
+    backend.run(main())
 
 
 def test_a_wrong_emissivity_shows_only_when_it_is_warm(backend: Backend) -> None:
@@ -63,7 +63,7 @@ def test_a_wrong_emissivity_shows_only_when_it_is_warm(backend: Backend) -> None
         async with backend.bench("pyrometer", Fault("pyrometer", "wrong_emissivity", value=0.5)) as bench:
             assert (await bench.device.read()).value == pytest.approx(20.0, abs=1.5)
 
-    run(main())
+    backend.run(main())
 
 
 @EVERY
@@ -73,4 +73,4 @@ def test_unconnected_it_reads_nothing(backend: Backend, name: str) -> None:
             with pytest.raises(NotConnected):
                 await bench.device.read()
 
-    run(main())
+    backend.run(main())

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cellctl.calibration import Calibration, load_calibration
-from cellctl.kinematics import AxesPosition, T_cell_table, rotation_about
+from cellctl.kinematics import rotation_about
 from cellctl.recipe import Recipe, load_recipe
 from cellctl.vision.part import FaceFit, FeatureFit, PartMeasurement
 
@@ -56,7 +56,3 @@ def measurement(
         "cell", "hole" if feature == "hole" else "stud", face, T_cell_part, np.eye(6) * 1e-10, 0.001, clocking_free,
         features, 240.0,
     )  # fmt: skip
-
-
-def shaft_pose_at(start: np.ndarray, cal: Calibration, start_at: AxesPosition, at: AxesPosition) -> np.ndarray:
-    return np.asarray(T_cell_table(cal, at) @ np.linalg.inv(T_cell_table(cal, start_at)) @ start)

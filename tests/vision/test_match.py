@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cellctl.vision.match import match_faces, match_holes, pairings, polish, rotate
+from cellctl.vision.geometry import rotate
+from cellctl.vision.match import match_faces, match_holes, pairings, polish
 
 ANGLES = np.arange(36) * 10.0
 

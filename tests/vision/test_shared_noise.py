@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from cellctl.vision.measure import measure_part
-from cellctl.vision.shared_noise import SharedNoise, correlated, estimate
+from cellctl.vision.shared_noise import SharedNoise, between, correlated, estimate
 from tests.vision.parts import SHAFT
 from tests.vision.synthetic import render
 from tests.vision.test_holes import centre_errors, view_of
@@ -43,6 +43,23 @@ def test_white_noise_is_none() -> None:
     assert estimate(0.03 * rng.standard_normal((300, 300)), 0.03) is None
     assert estimate(np.full((300, 300), np.nan), 0.03) is None
     assert estimate(0.03 * smooth(rng, 3.0, 20), 0.03) is None
+
+
+@pytest.mark.parametrize("length", [2.0, 3.0])
+def test_a_few_scattered_pixels_show_the_length_too(length: float) -> None:
+    rng = np.random.default_rng(6)
+    field, pixels = smooth(rng, length, 120), np.argwhere(rng.random((120, 120)) > 0.33)
+    found = between(pixels, field[tuple(pixels.T)])
+    assert found is not None
+    assert found.length_px == pytest.approx(length, abs=0.35)
+    assert found.share > 0.9
+
+
+def test_white_noise_of_a_few_pixels_is_none() -> None:
+    rng = np.random.default_rng(7)
+    pixels = np.argwhere(rng.random((120, 120)) > 0.33)
+    assert between(pixels, rng.standard_normal(len(pixels))) is None
+    assert between(pixels[:50], np.ones(50)) is None
 
 
 def test_correlated_is_the_dense_product() -> None:

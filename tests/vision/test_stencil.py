@@ -53,3 +53,13 @@ def test_back_is_the_transpose() -> None:
     stencil = Stencil.of(pixels, np.zeros(len(pixels), dtype=np.intp), SharedNoise(2.5, 0.95).at)
     x, y = rng.standard_normal((2, 3, len(pixels)))
     assert np.allclose(np.einsum("qn,qn->q", stencil.apply(x), y), np.einsum("qn,qn->q", x, stencil.back(y)))
+
+
+def test_the_sigma_of_a_mean_is_honest() -> None:
+    rng = np.random.default_rng(5)
+    pixels, noise = np.argwhere(rng.random((14, 14)) > 0.2), SharedNoise(3.0, 0.95)
+    draws, _ = field(rng, pixels, noise, 400)
+    stencil = Stencil.of(pixels, np.zeros(len(pixels), dtype=np.intp), noise.at, places=10)
+    design = stencil.apply(np.ones((1, len(pixels))))[0]
+    power = float(design @ design)
+    assert abs(np.std(stencil.apply(draws) @ design / power) * np.sqrt(power) - 1.0) < 0.15

@@ -37,7 +37,7 @@ def measured(seed: int, points: int, errors: ScanErrors) -> tuple[np.ndarray, np
     pose[:3, 3] = *generator.normal(0, 1, 2), 350.0
     shape = PartShape(rings_mm=((90.0, 140.0, 0.0),), studs=studs)
     scene = SceneState(np.eye(4), ((pose, shape),), camera=camera_for(points), errors=errors)
-    face = FaceFit(pose[:3, 3], pose[:3, 2], pose[:3, :2].T, np.eye(3) * 1e-12, 0.03, 0.01, 1000, 1.0)
+    face = FaceFit(pose[:3, 3], pose[:3, 2], pose[:3, :2].T, np.eye(3) * 1e-12, errors.noise_mm, 0.01, 1000, 1.0)
     features = measure_studs(render(scene, seed), face, PART)
     offsets, pulls = [], []
     for feature in features:
