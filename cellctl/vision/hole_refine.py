@@ -83,7 +83,7 @@ def _as_loud_as_it_is(
     shown = _shown(samples, fits, design * used / amplitude, noise, pixels)
     asked = used & (shown > LEAST_SHOWN)
     alone = np.abs(value) / np.sqrt(np.maximum(shown, LEAST_SHOWN))
-    power = slant_power(labels, alone, 1.0 * asked, cosine)
+    power = slant_power(labels, alone, asked.astype(np.float64), cosine)
     alone /= np.maximum(cosine, LEAST_COSINE) ** power
     scales = [float(np.median(alone[asked & (labels == kind)])) / NORMAL_MEDIAN
               if np.count_nonzero(asked & (labels == kind)) >= LEAST_POINTS else fits.sigma_mm[kind]
