@@ -111,10 +111,9 @@ def measure_holes(
     chosen = [k for k in range(part.count) if by_rim[k].found]
     modelled = _by_model(around, chosen, by_rim, part, sight)
     if part.chamfer_diameter_mm is None:
-        return tuple(
-            modelled[k] if k in modelled and _better(modelled[k], hole, sight.spacing_mm) else hole
-            for k, hole in enumerate(by_rim)
-        )
+        # an edge is worn on one side, alike at every hole: what walls and outlines say together would mix two places
+        walls = all(k in modelled and _better(modelled[k], by_rim[k], sight.spacing_mm) for k in chosen)
+        return tuple(modelled.get(k, hole) for k, hole in enumerate(by_rim)) if walls else tuple(by_rim)
     return _settled(by_rim, modelled, part, sight.spacing_mm)
 
 
