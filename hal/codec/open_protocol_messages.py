@@ -176,6 +176,22 @@ def set_data(value: ParameterSet) -> Message:
     return Message(SET_DATA, write_fields(asdict(value), _SET, "MID 0013"))
 
 
+def told_set(
+    stage: str,
+    speed_rpm: float,
+    direction: int,
+    torque_nm: tuple[float, float, float],
+    angle_deg: tuple[float, float, float],
+) -> ParameterSet:
+    """What a controller tells of a set for this: (low, high, target) of torque and angle, rounded as on the wire.
+
+    The protocol tells no speed: by convention it stands in the name, as in ``final 10 rpm``. Number and batch are 0.
+    """
+    low, high, target = (round(value * 100.0) / 100.0 for value in torque_nm)
+    angles = [round(value) for value in angle_deg]
+    return ParameterSet(0, f"{stage} {speed_rpm:g} rpm", direction, 0, low, high, target, *angles)
+
+
 _SELECTED: Layout = (("number", 3, "int"), ("changed", 19, "text"))
 
 

@@ -172,7 +172,7 @@ def test_printed_headers_are_read_and_written(printed: bytes, mid: int) -> None:
 def test_revision_2_of_a_result_says_the_same_in_other_places() -> None:
     value = read_result(one(RESULT_2))
     assert (value.number, value.parameter_set, value.ok) == (184887, 1, False)
-    assert (value.torque_status, value.angle_status) == (1, 0)
+    assert (value.torque_status, value.angle_status, value.batch_status) == (0, 0, 2)
     assert (value.torque_low_nm, value.torque_high_nm, value.torque_nm) == (3.4, 4.6, 5.05)
     assert (value.angle_low_deg, value.angle_high_deg, value.angle_deg) == (20, 42, 0)
     assert value.stamp == "2020-06-25:01:04:39"
