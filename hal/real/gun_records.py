@@ -71,16 +71,16 @@ class Records:
         if message.mid == m.SELECTED:
             self.selected = m.read_selected(message)[0]
             return Message(m.SELECTED_ACK)
-        elif message.mid == m.RELAY:
+        if message.mid == m.RELAY:
             relay, on = m.read_relay(message)
             if relay == self._running_relay:
                 self.running, self.changed_s = on, _now()
             return Message(m.RELAY_ACK)
-        elif message.mid in (m.ALARM, m.ALARM_STATUS):
+        if message.mid in (m.ALARM, m.ALARM_STATUS):
             alarm = m.read_alarm(message)
             self.alarm = alarm if alarm.active else None
             return Message(m.ALARM_ACK if message.mid == m.ALARM else m.ALARM_STATUS_ACK)
-        elif message.mid == m.ALARM_GONE:
+        if message.mid == m.ALARM_GONE:
             self.alarm = None
             return Message(m.ALARM_GONE_ACK)
         return None
