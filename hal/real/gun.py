@@ -9,7 +9,8 @@ How the protocol and `hal.interfaces.Gun` meet:
   the controller's memory knows, is refused.
 * **Result.** It is acknowledged (MID 0062) when the next run or question comes: by then the caller has written it
   down, since it asks for nothing more before that. Until then, and after a lost link, the controller keeps it and
-  tells it again; a result is known by its number and counts once.
+  tells it again; a result is known by its number and counts once. A result that is not the present run's, and so may
+  stand before it in the controller's queue, is acknowledged at once: the controller's memory has it still.
 * **Lost link.** The tightening goes on. The link comes back by itself, missed results are fetched with MID 0064, and
   only where the spindle stands and no result is to be had the outcome is unknown.
 * **Start.** MID 0224 is sent once; where its answer is lost the run counts as started.
@@ -134,6 +135,8 @@ class OpenProtocolGun:
         if acknowledgement is not None:
             session.tell(acknowledgement)
         self._settle()
+        if self._run is not None and not self._run.result.done():
+            self._acknowledge(session)
         told = message.mid in (m.ALARM, m.ALARM_STATUS)
         if told and self._run is not None and self._run.started_s and (fault := self._alarm()) is not None:
             self._run.fail(fault)
@@ -141,8 +144,9 @@ class OpenProtocolGun:
     def _settle(self) -> None:
         """Give the present run its result, if it has come."""
         run = self._run
-        result = self._records.of(run.identifier) if run is not None else None
-        if run is not None and result is not None and not run.result.done():
+        if run is None or not run.started_s or run.result.done():
+            return
+        if (result := self._records.of(run.identifier)) is not None:
             run.result.set_result(result)
 
     def _alarm(self) -> CellError | None:
@@ -198,7 +202,7 @@ class OpenProtocolGun:
 
     async def tighten(self, key: str, program: TighteningProgram) -> TighteningResult:
         """Run `program` once under `key`. Raises as `turn`; DeviceRefused for a key that was run before."""
-        session = self._link.session()
+        self._link.session()
         if not (0 < len(key) <= KEY_LENGTH and key.isascii() and key.isprintable() and key == key.strip()):
             raise DeviceRefused(f"key {key!r} is not 1 to {KEY_LENGTH} printable ASCII characters", device=self.name)
         wanted = m.told_set(
@@ -208,10 +212,6 @@ class OpenProtocolGun:
             (program.torque_low_nm, program.torque_high_nm, program.target_torque_nm),
             (program.angle_low_deg, program.angle_high_deg, 0.0),
         )
-        with self._readable():
-            known = key in self._started or await self._search(session, key) is not None
-        if known:
-            raise DeviceRefused(f"key {key} was run before", device=self.name)
         result = await self._perform(key, wanted, program.timeout_s + MARGIN_S)
         return await self._with_curves(result)
 
@@ -252,6 +252,8 @@ class OpenProtocolGun:
             await self._link.session().ask(Message(m.DISABLE))
 
     async def _set_up(self, session: Session, run: _Run, wanted: m.ParameterSet) -> None:
+        if run.identifier in self._started or await self._search(session, run.identifier) is not None:
+            raise DeviceRefused(f"key {run.identifier} was run before", device=self.name)
         numbers = [known.number for known in self._sets if _same(known, wanted)]
         if len(numbers) != 1:
             told = ", ".join(f"{known.number}: {known.name}" for known in self._sets)

@@ -82,6 +82,11 @@ class GunController:
         """Drop every connection; whatever runs goes on."""
         self._server.drop()
 
+    def program(self, number: int, program: Program) -> None:
+        """What a technician does: another content for parameter set `number`."""
+        self._programs[number] = program
+        self._sets[number] = memory.told(number, program)
+
     async def power_cycle(self) -> None:
         """Off and on: the program ends where it is and leaves no result; stored results stay."""
         self._server.drop()
@@ -89,10 +94,16 @@ class GunController:
         await self._end_program()
         self._selected, self._enabled, self._identifier, self._alarm = 0, False, "", None
 
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Identifiers of the results that nobody has acknowledged, in order."""
+        return tuple(record.result.identifier for record in self._untold)
+
     async def _end_program(self) -> None:
         if self._program is not None:
             self._program.cancel()
             await asyncio.gather(self._program, return_exceptions=True)
+        self._runs = False  # a program that was ended before its first step has not said so itself
 
     async def _handle(self, client: Client, message: Message) -> list[Message]:
         handler = self._handlers.get(message.mid)
