@@ -46,6 +46,34 @@ class ForceEntry(_Section):
     range_n: float = Field(default=2000.0, gt=0)
 
 
+class ForceLineEntry(_Section):
+    """A force amplifier that streams lines over the serial port `path`; rate and range must be what it says itself.
+
+    `serial` is the amplifier's, checked where it is given. It answers within `reply_s`; a stream that brings nothing
+    for `silence_s` has ended.
+    """
+
+    kind: Literal["force_line"]
+    path: str
+    baud: int = Field(default=460_800, ge=9600)
+    rate_hz: float = Field(default=1000.0, gt=0)
+    range_n: float = Field(default=2000.0, gt=0)
+    serial: str = ""
+    reply_s: Seconds = Field(default=2.0, gt=0)
+    silence_s: Seconds = Field(default=2.0, gt=0)
+
+
+class FileDropEntry(_Section):
+    """A scanner whose software takes requests from, and leaves its clouds in, a folder of this cell's own."""
+
+    kind: Literal["file_drop"]
+    folder: Path
+    serial: str = ""
+    poll_s: Seconds = Field(default=0.02, gt=0)
+    reply_s: Seconds = Field(default=2.0, gt=0)
+    frame_s: Seconds = Field(default=10.0, gt=0)
+
+
 class HeaterEntry(_Section):
     """The heater controller."""
 
@@ -88,9 +116,9 @@ class Devices(_Section):
     gun_feed: AxisEntry
     gun_a: Annotated[PlainEntry | OpenProtocolEntry, Field(discriminator="kind")]
     gun_b: Annotated[PlainEntry | OpenProtocolEntry, Field(discriminator="kind")]
-    jack_force: ForceEntry
-    gun_force_a: ForceEntry
-    gun_force_b: ForceEntry
+    jack_force: Annotated[ForceEntry | ForceLineEntry, Field(discriminator="kind")]
+    gun_force_a: Annotated[ForceEntry | ForceLineEntry, Field(discriminator="kind")]
+    gun_force_b: Annotated[ForceEntry | ForceLineEntry, Field(discriminator="kind")]
     spigot_tc_1: PlainEntry
     spigot_tc_2: PlainEntry
     pyrometer: PlainEntry
@@ -104,7 +132,7 @@ class Devices(_Section):
     gap_probe_3: PlainEntry
     safety: PlainEntry
     part_station: PlainEntry
-    scanner: PlainEntry
+    scanner: Annotated[PlainEntry | FileDropEntry, Field(discriminator="kind")]
 
 
 class Delays(_Section):

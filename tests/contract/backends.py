@@ -15,7 +15,7 @@ from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
 from hal.fake.levels import Level
 from hal.fake.plant import Plant, TwinSettings
-from tests.contract import wire_gun
+from tests.contract import wire_force, wire_gun
 from tests.contract.fakes import fake_device
 
 OPEN_FIT = {"fit_interference_mm": -0.2}
@@ -119,6 +119,9 @@ async def alone(main: Coroutine[Any, Any, None]) -> None:
 
 FAKE = FakeBackend()
 BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType(
-    {"test_gun": (FAKE, WireBackend(wire_gun.installed, speed=200.0))}
+    {
+        "test_force_sensor": (FAKE, WireBackend(wire_force.installed, speed=5.0)),
+        "test_gun": (FAKE, WireBackend(wire_gun.installed, speed=200.0)),
+    }
 )
 """By test file, where there are others than the fakes; each has a module `wire_...` of its own beside this one."""
