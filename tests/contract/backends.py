@@ -15,7 +15,7 @@ from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
 from hal.fake.levels import Level
 from hal.fake.plant import Plant, TwinSettings
-from tests.contract import wire_force, wire_gun
+from tests.contract import wire_force, wire_gun, wire_scanner
 from tests.contract.fakes import fake_device
 
 OPEN_FIT = {"fit_interference_mm": -0.2}
@@ -121,6 +121,7 @@ FAKE = FakeBackend()
 BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType(
     {
         "test_force_sensor": (FAKE, WireBackend(wire_force.installed, speed=5.0)),
+        "test_scanner": (FAKE, WireBackend(wire_scanner.installed)),
         "test_gun": (FAKE, WireBackend(wire_gun.installed, speed=200.0)),
     }
 )
