@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -21,10 +21,9 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class AxisEntry(_Section):
+class _AnyAxis(_Section):
     """One axis. Travel in its unit (mm or deg), speed per second; a motion has arrived within `in_position`."""
 
-    kind: Literal["fake"]
     low: float
     high: float
     max_speed: float = Field(gt=0)
@@ -32,10 +31,61 @@ class AxisEntry(_Section):
     in_position: float = Field(default=0.02, gt=0)
 
     @model_validator(mode="after")
-    def _ordered(self) -> AxisEntry:
+    def _ordered(self) -> Self:
         if self.low >= self.high:
             raise ValueError(f"low {self.low} must lie below high {self.high}")
         return self
+
+
+class AxisEntry(_AnyAxis):
+    """A simulated axis."""
+
+    kind: Literal["fake"]
+
+
+class CanAxisEntry(_AnyAxis):
+    """A drive on the CAN bus of `[can]` (CiA 402). Scale, gear and feed must be what the drive itself says.
+
+    The drive's position unit is 1/`counts_per_unit` mm or deg; `feed` is in those, per `feed_shaft` revolutions.
+    `referenced_bit` of the statusword says that the reference is valid; `standstill` is per second. `homing_method`
+    is the drive's (0x6098). Identity numbers that are given must be met.
+    """
+
+    kind: Literal["canopen"]
+    node: int = Field(ge=1, le=126)
+    counts_per_unit: float = Field(default=10_000.0, gt=0)
+    encoder_increments: int = Field(gt=0)
+    encoder_revolutions: int = Field(default=1, gt=0)
+    gear_motor: int = Field(default=1, gt=0)
+    gear_shaft: int = Field(default=1, gt=0)
+    feed: int = Field(gt=0)
+    feed_shaft: int = Field(default=1, gt=0)
+    homing_method: int = Field(ge=-128, le=37)
+    homing_share: Fraction = Field(default=0.5, gt=0, le=1)
+    referenced_bit: Literal[8, 14, 15] = 15
+    following_error: float = Field(default=1.0, gt=0)
+    standstill: float = Field(default=0.01, gt=0)
+    ramp_s: Seconds = Field(default=0.1, gt=0)
+    quick_stop_factor: float = Field(default=4.0, ge=1)
+    heartbeat_s: Seconds = Field(default=0.1, ge=0.01)
+    pdo_s: Seconds = Field(default=0.01, ge=0.001)
+    reply_s: Seconds = Field(default=2.0, gt=0)
+    vendor: int | None = None
+    product: int | None = None
+    serial: int | None = None
+
+
+class CanEntry(_Section):
+    """`[can]`: the CAN adapter in python-can's own words, and the controller's node number."""
+
+    interface: str
+    channel: str
+    bitrate: int = Field(default=1_000_000, gt=0)
+    node: int = Field(default=127, ge=1, le=127)
+    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
+
+
+AnyAxisEntry = Annotated[AxisEntry | CanAxisEntry, Field(discriminator="kind")]
 
 
 class ForceEntry(_Section):
@@ -62,12 +112,12 @@ class PlainEntry(_Section):
 class Devices(_Section):
     """`[devices.NAME]`: every device of the cell, by its name everywhere else."""
 
-    stage_x: AxisEntry
-    stage_y: AxisEntry
-    jack: AxisEntry
-    shaft_table: AxisEntry
-    gun_table: AxisEntry
-    gun_feed: AxisEntry
+    stage_x: AnyAxisEntry
+    stage_y: AnyAxisEntry
+    jack: AnyAxisEntry
+    shaft_table: AnyAxisEntry
+    gun_table: AnyAxisEntry
+    gun_feed: AnyAxisEntry
     gun_a: PlainEntry
     gun_b: PlainEntry
     jack_force: ForceEntry
@@ -162,7 +212,22 @@ class CellConfig(_Section):
     calibration: CalibrationEntry
     auth: Auth = Auth()
     twin: Twin = Twin()
+    can: CanEntry | None = None
     path: Path = Field(default=Path(), exclude=True)
+
+    @model_validator(mode="after")
+    def _nodes(self) -> Self:
+        axes = {
+            name: entry.node
+            for name in Devices.model_fields
+            if isinstance(entry := getattr(self.devices, name), CanAxisEntry)
+        }
+        if axes and self.can is None:
+            raise ValueError(f"{', '.join(axes)}: on CAN, but there is no [can]")
+        taken = [*axes.values(), self.can.node] if self.can else []
+        if len(set(taken)) < len(taken):
+            raise ValueError(f"CAN node numbers {sorted(taken)} must differ")
+        return self
 
     @property
     def calibration_path(self) -> Path:

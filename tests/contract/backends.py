@@ -15,6 +15,7 @@ from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
 from hal.fake.levels import Level
 from hal.fake.plant import Plant, TwinSettings
+from tests.contract import wire_axis
 from tests.contract.fakes import fake_device
 
 OPEN_FIT = {"fit_interference_mm": -0.2}
@@ -115,5 +116,5 @@ async def alone(main: Coroutine[Any, Any, None]) -> None:
 
 
 FAKE = FakeBackend()
-BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType({})
+BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType({"test_axis": (FAKE, WireBackend(wire_axis.installed))})
 """By test file, where there are others than the fakes; each has a module `wire_...` of its own beside this one."""

@@ -1,0 +1,1 @@
+"""Device simulators: the plant behind the real protocols."""
