@@ -25,8 +25,9 @@ from hal.errors import NotConnected
 
 _log = logging.getLogger(__name__)
 
-SEND_TIMEOUT_S = 0.002
-"""An adapter whose buffer stays full for so long is not sending."""
+SEND_TIMEOUT_S = 0.2
+"""An adapter whose buffer stays full for so long is not sending. pyserial also takes a write that is done, but later
+than this on a busy machine, for failed; with 0 it would turn in circles on a full buffer."""
 RETRY_S = 0.5
 """Between two attempts to open the adapter."""
 SILENCE_S = 2.5
