@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
@@ -21,7 +22,7 @@ Kind = Literal["lost", "twice", "late", "half"]
 
 @dataclass(slots=True)
 class BusFault:
-    """What happens to the next `count` frames that `match`; `delay_s` is for late ones."""
+    """What happens to the next `count` frames that `match`. A late one holds up what its sender says after it."""
 
     kind: Kind
     match: Match
@@ -52,6 +53,7 @@ class CanHub:
         self._ports: list[Deliver] = []
         self._tasks: set[asyncio.Task[None]] = set()
         self._timers: set[asyncio.TimerHandle] = set()
+        self._held: dict[object, deque[CanFrame]] = {}
 
     async def start(self, host: str = "127.0.0.1", port: int = 0) -> None:
         """Listen; port 0 takes a free one, and the same one again after `unplug`."""
@@ -64,6 +66,7 @@ class CanHub:
         for timer in self._timers:
             timer.cancel()
         self._timers.clear()
+        self._held.clear()
 
     async def unplug(self) -> None:
         """Every adapter is gone and none can be opened; `start` plugs it in again."""
@@ -139,6 +142,9 @@ class CanHub:
     def _carry(self, frame: CanFrame, source: object) -> None:
         if self.log is not None:
             self.log.append(frame)
+        if self._held.get(source):
+            self._later(frame, source, 0.0)
+            return
         fault = next((one for one in self.faults if one.count > 0 and one.match(frame)), None)
         if fault is None:
             self._spread(frame, source)
@@ -172,9 +178,17 @@ class CanHub:
                 self._write(adapter, line[: len(line) // 2] + CR)
 
     def _later(self, frame: CanFrame, source: object, delay_s: float) -> None:
+        """The first of a queue has the timer; those behind it follow at once."""
+        queue = self._held.setdefault(source, deque())
+        queue.append(frame)
+        if len(queue) > 1:
+            return
+
         def deliver() -> None:
             self._timers.discard(timer)
-            self._spread(frame, source)
+            waiting = self._held.pop(source)
+            for one in waiting:
+                self._spread(one, source)
 
         timer = asyncio.get_running_loop().call_later(delay_s, deliver)
         self._timers.add(timer)

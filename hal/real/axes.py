@@ -104,7 +104,7 @@ class CanAxis:
             await self._stop()
         self._node.command(NmtCommand.ENTER_PRE_OPERATIONAL)
         for entry, value in pdo_settings(self._entry):
-            await self._node.set(entry, value)
+            await self._node.download(entry, value)
         for entry, value in settings(self._entry, self._controller).items():
             await self._node.set(entry, value)
         self._ramp = counts(self._entry, self._entry.max_acceleration)

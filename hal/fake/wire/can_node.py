@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
@@ -50,7 +51,8 @@ class CanNode:
         """Abort codes for the next SDO requests, whatever they ask."""
         self._shown: bytes | None = None
         self._handles: dict[str, asyncio.TimerHandle] = {}
-        self._answers: set[asyncio.TimerHandle] = set()
+        self._queued: deque[Callable[[], None]] = deque()
+        self._timers: set[asyncio.TimerHandle] = set()
         self._free_s = 0.0
         self._send, self._detach = bus.attach(self._receive)
 
@@ -58,7 +60,7 @@ class CanNode:
         """Off the bus; no timer is left."""
         self._detach()
         self.drive.close()
-        for handle in (*self._handles.values(), *self._answers):
+        for handle in (*self._handles.values(), *self._timers):
             handle.cancel()
 
     def restart(self) -> None:
@@ -276,12 +278,13 @@ class CanNode:
         self._handles[what] = self._loop.call_later(delay_s, act)
 
     def _queue(self, delay_s: float, act: Callable[[], None]) -> None:
-        """Later, in the order in which they came."""
+        """Later, in the order in which they came: timers of the same instant fire in any order."""
         self._free_s = max(self._free_s, self._loop.time() + delay_s)
+        self._queued.append(act)
 
         def run() -> None:
-            self._answers.discard(handle)
-            act()
+            self._timers.discard(handle)
+            self._queued.popleft()()
 
         handle = self._loop.call_at(self._free_s, run)
-        self._answers.add(handle)
+        self._timers.add(handle)
