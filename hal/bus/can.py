@@ -12,6 +12,7 @@ import asyncio
 import contextlib
 import logging
 import select
+import socket
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -28,8 +29,10 @@ _log = logging.getLogger(__name__)
 SEND_TIMEOUT_S = 0.2
 """An adapter whose buffer stays full for so long is not sending. pyserial also takes a write that is done, but later
 than this on a busy machine, for failed; with 0 it would turn in circles on a full buffer."""
+OPEN_S = 4.0
+"""An adapter must be open by then."""
 RETRY_S = 0.5
-"""Between two attempts to open the adapter."""
+"""Between two attempts to open it."""
 SILENCE_S = 2.5
 """A bus with watched identifiers on which nothing is heard for so long is opened anew."""
 TICK_S = 0.05
@@ -84,6 +87,7 @@ class CanBus:
         self._adapter: can.BusABC | None = None
         self._monitor: asyncio.Task[None] | None = None
         self._users = 0
+        self._turn = asyncio.Lock()
         self._opened = asyncio.Event()
         self._closing = asyncio.Event()
         self._wake = asyncio.Event()
@@ -99,12 +103,12 @@ class CanBus:
     async def open(self) -> None:
         """One more user; returns once the adapter is open. Raises NotConnected with the library's reason."""
         self._users += 1
-        if self._monitor is None:
-            self._closing.clear()
-            self._opened.clear()
-            self._monitor = asyncio.create_task(self._run(), name=f"{self.name} monitor")
         try:
-            async with asyncio.timeout(2 * RETRY_S):
+            async with asyncio.timeout(OPEN_S):
+                async with self._turn:
+                    await self._ended()
+                    if self._monitor is None:
+                        self._monitor = asyncio.create_task(self._run(), name=f"{self.name} monitor")
                 await self._opened.wait()
         except BaseException as error:
             await self.release()
@@ -115,12 +119,18 @@ class CanBus:
     async def release(self) -> None:
         """One user less; the last one closes the adapter. Never raises."""
         self._users -= 1
-        if self._users > 0 or self._monitor is None:
-            return
-        self._closing.set()
-        self._wake.set()
-        monitor, self._monitor = self._monitor, None
-        await asyncio.wait({monitor})
+        async with self._turn:
+            if self._users == 0 and self._monitor is not None:
+                self._closing.set()
+                self._wake.set()
+                await self._ended()
+
+    async def _ended(self) -> None:
+        """Until a monitor that is to end has ended; one that is not goes on."""
+        if self._monitor is not None and self._closing.is_set():
+            await asyncio.wait({self._monitor})
+            self._monitor = None
+        self._closing.clear()
 
     async def _run(self) -> None:
         loop = asyncio.get_running_loop()
@@ -143,7 +153,11 @@ class CanBus:
                 await self._pause(RETRY_S)
 
     def _make(self) -> can.BusABC:
-        return can.Bus(ignore_config=True, **self._options)
+        adapter = can.Bus(ignore_config=True, **self._options)
+        if (peer := _peer(adapter)) is not None:
+            # Or a frame waits, up to 40 ms, for the acknowledgement of the one before.
+            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return adapter
 
     async def _pause(self, seconds: float) -> None:
         with contextlib.suppress(TimeoutError):
@@ -268,6 +282,12 @@ def _descriptor(adapter: can.BusABC) -> int | None:
     return file if file >= 0 else None
 
 
+def _peer(adapter: can.BusABC) -> socket.socket | None:
+    """The socket of an slcan adapter behind `socket://`, else None."""
+    found = getattr(getattr(adapter, "serialPortOrig", None), "_socket", None)
+    return found if isinstance(found, socket.socket) else None
+
+
 def _shut(adapter: can.BusABC) -> None:
     """Close for good, whatever state the adapter is in.
 
@@ -275,7 +295,7 @@ def _shut(adapter: can.BusABC) -> None:
     leaves the socket open where the peer is gone. So a socket is closed here.
     """
     port = getattr(adapter, "serialPortOrig", None)
-    peer = getattr(port, "_socket", None)
+    peer = _peer(adapter)
     if peer is not None and port is not None:
         with contextlib.suppress(Exception):
             port.write(b"C\r")

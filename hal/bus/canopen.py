@@ -53,12 +53,11 @@ class Node:
         self.tidings = 0
         """Grows with whatever may change what a command waits for: TPDO1, emergencies, boot-up, the link."""
         self.values: dict[Entry, int] = {}
-        """The last value of each entry that a PDO brought."""
-        self.received: dict[int, int] = {}
-        """How many frames of each function code came."""
+        """The last value of each entry that a PDO brought: for showing and watching; commands ask."""
         self.emergency: Emergency | None = None
         self.lost = ""
         """Why the node is not heard; empty while it is, and before its first beat."""
+        self._state: NmtState | None = None
         self.boots = 0
         """Boot-up messages since `open`: each means that what was set is lost."""
 
@@ -91,7 +90,6 @@ class Node:
     def frame(self, frame: CanFrame) -> None:
         """One frame of this node. Malformed ones are dropped: the deadlines find out."""
         function = frame.can_id - self.number
-        self.received[function] = self.received.get(function, 0) + 1
         with contextlib.suppress(Malformed):
             match function:
                 case int(function) if function == SDO_REPLY:
@@ -114,10 +112,13 @@ class Node:
         self._give_up(NotConnected(f"the bus is down: {reason}", device=self._name))
 
     def _silent(self) -> None:
+        if self._state is NmtState.BOOT_UP:
+            return  # it has said that it restarted, and knows of no heartbeat until it is told to
         self.lost = f"no heartbeat for {self._silence_s:g} s"
         self._give_up(NotConnected(self.lost, device=self._name))
 
     def _beat(self, state: NmtState) -> None:
+        self._state = state
         boot = state is NmtState.BOOT_UP
         self.boots += boot
         if self.lost or boot:

@@ -113,7 +113,7 @@ class CanHub:
     def _line(self, adapter: _Adapter, line: bytes) -> None:
         match line[:1]:
             case b"":
-                return
+                answer = CR
             case b"O" | b"L":
                 adapter.opened, adapter.bus_off, answer = True, False, CR
             case b"C":

@@ -47,7 +47,8 @@ class CanAxis:
         self._entry = entry
         self._controller = controller
         silence_s = MISSED_BEATS * entry.heartbeat_s
-        self._node = Node(link, entry.node, name, silence_s=silence_s, reply_s=entry.reply_s)
+        self.node = Node(link, entry.node, name, silence_s=silence_s, reply_s=entry.reply_s)
+        """The drive as a CANopen node."""
         self._connected = False
         self._boots = 0
         self._mode = Mode.PROFILE_POSITION
@@ -64,10 +65,10 @@ class CanAxis:
         Raises NotConnected, DeviceTimeout, DeviceRefused (identity or scale are not the cell file's), DeviceFault.
         """
         if not self._connected:
-            await self._node.open()
+            await self.node.open()
         try:
             identity = await self._identify()
-            if not self._connected or self._node.boots != self._boots:
+            if not self._connected or self.node.boots != self._boots:
                 await self._configure()
         except BaseException:
             await self.close()
@@ -79,12 +80,12 @@ class CanAxis:
         """Drop the link. A drive in motion is stopped; without the controller's heartbeat it would stop by itself."""
         if self._connected and self._commanded:
             self._quick_stop()
-        opened, self._connected = self._node.opened, False
+        opened, self._connected = self.node.opened, False
         if opened:
-            await self._node.close()
+            await self.node.close()
 
     async def _identify(self) -> Identity:
-        node = self._node
+        node = self.node
         vendor, product, revision, serial = [await node.upload(one) for one in (VENDOR, PRODUCT, REVISION, SERIAL)]
         for one, value in expected(self._entry).items():
             if (said := await node.upload(one)) != value:
@@ -99,16 +100,16 @@ class CanAxis:
 
     async def _configure(self) -> None:
         """In pre-operational, where nothing is mapped while it is in use. A drive that still moves is stopped first."""
-        self._boots = self._node.boots
+        self._boots = self.node.boots
         if not (await self._status()).at_rest:
             await self._stop()
-        self._node.command(NmtCommand.ENTER_PRE_OPERATIONAL)
+        self.node.command(NmtCommand.ENTER_PRE_OPERATIONAL)
         for entry, value in pdo_settings(self._entry):
-            await self._node.download(entry, value)
+            await self.node.download(entry, value)
         for entry, value in settings(self._entry, self._controller).items():
-            await self._node.set(entry, value)
+            await self.node.set(entry, value)
         self._ramp = counts(self._entry, self._entry.max_acceleration)
-        self._node.command(NmtCommand.START)
+        self.node.command(NmtCommand.START)
 
     # ------------------------------------------------------------ reading
 
@@ -131,7 +132,7 @@ class CanAxis:
 
     async def _look(self) -> tuple[Status, AxisState]:
         """The statusword is asked first: what it calls reached is not measured on the way."""
-        node, scale = self._node, self._entry.counts_per_unit
+        node, scale = self.node, self._entry.counts_per_unit
         status = await self._status()
         velocity = await node.upload(drive.VELOCITY) / scale
         position = await node.upload(drive.POSITION) / scale
@@ -148,7 +149,7 @@ class CanAxis:
         return status, state
 
     async def _status(self) -> Status:
-        return Status(await self._node.upload(drive.STATUSWORD))
+        return Status(await self.node.upload(drive.STATUSWORD))
 
     def _require(self, command: str) -> None:
         if not self._connected:
@@ -168,14 +169,14 @@ class CanAxis:
 
     async def _stop(self) -> None:
         self._quick_stop()
-        node = self._node
+        node = self.node
         try:
             async with asyncio.timeout(ANSWER_S):
                 while True:
                     seen = node.tidings
                     status = await self._status()
-                    if status.state is State.OPERATION_ENABLED:
-                        self._quick_stop()
+                    if status.state is State.OPERATION_ENABLED:  # its RPDO is off or was lost: acknowledged, then
+                        await node.download(drive.CONTROLWORD, drive.QUICK_STOP)
                     elif status.at_rest and abs(await node.upload(drive.VELOCITY)) <= self._standstill:
                         return
                     await node.news(seen, POLL_S)
@@ -187,7 +188,7 @@ class CanAxis:
             self._control(drive.QUICK_STOP)
 
     def _control(self, word: int) -> None:
-        self._node.put(RPDO1, {drive.CONTROLWORD: word, drive.MODE: self._mode})
+        self.node.put(RPDO1, {drive.CONTROLWORD: word, drive.MODE: self._mode})
 
     @property
     def _standstill(self) -> float:
@@ -196,7 +197,7 @@ class CanAxis:
     async def rearm(self) -> None:
         """Out of quick stop or fault, the target where the axis stands. Without power only the target is set."""
         self._require("rearm")
-        node = self._node
+        node = self.node
         if node.boots != self._boots:
             await self._configure()
         _, state = await self._look()
@@ -209,7 +210,7 @@ class CanAxis:
 
     async def _enable(self) -> None:
         self._mode = Mode.PROFILE_POSITION
-        node, before = self._node, None
+        node, before = self.node, None
         status = await self._status()
         try:
             async with asyncio.timeout(ANSWER_S):
@@ -243,7 +244,7 @@ class CanAxis:
             self._judge(status, position, speed)
             speed = min(speed, self.limits.max_speed)
             await self._ramps(min(self.limits.max_acceleration, speed / self._entry.ramp_s))
-            way = abs(position - await self._node.upload(drive.POSITION) / self._entry.counts_per_unit)
+            way = abs(position - await self.node.upload(drive.POSITION) / self._entry.counts_per_unit)
             await self._target(counts(self._entry, position), max(counts(self._entry, speed), 1))
             await self._follow(drive.position_step, drive.POSITION_WORDS, way / speed + self._entry.ramp_s + ARRIVAL_S)
         return await self.read()
@@ -270,6 +271,7 @@ class CanAxis:
         if self._commanded or not status.at_rest:
             raise DeviceRefused("is on its way already", device=self.name)
         self._commanded, self._halted, self._begun = True, False, False
+        self.node.emergency = None
         try:
             yield status
         except Interrupted:
@@ -286,7 +288,7 @@ class CanAxis:
             raise SafetyOpen("no power", device=self.name)
         if status.state in (State.FAULT, State.FAULT_REACTION):
             raise DeviceFault(await self._error(), device=self.name)
-        if self._node.boots != self._boots:
+        if self.node.boots != self._boots:
             raise DeviceFault("restarted and has lost its settings: re-arm first", device=self.name)
         if status.state is not State.OPERATION_ENABLED:
             raise DeviceRefused(f"{status.state.name.lower().replace('_', ' ')}: re-arm first", device=self.name)
@@ -296,23 +298,23 @@ class CanAxis:
         ramp = max(counts(self._entry, acceleration), 1)
         if ramp != self._ramp:
             self._ramp = 0
-            await self._node.set(drive.PROFILE_ACCELERATION, ramp)
-            await self._node.set(drive.PROFILE_DECELERATION, ramp)
+            await self.node.set(drive.PROFILE_ACCELERATION, ramp)
+            await self.node.set(drive.PROFILE_DECELERATION, ramp)
             self._ramp = ramp
 
     async def _target(self, target: int, speed: int) -> None:
         """Set-point by RPDO, which nobody acknowledges: so it is read back before the drive is told to go there."""
         values = {drive.TARGET: target, drive.PROFILE_VELOCITY: speed}
-        self._node.put(RPDO2, values)
+        self.node.put(RPDO2, values)
         for entry, value in values.items():
-            if (back := await self._node.upload(entry)) != value:
+            if (back := await self.node.upload(entry)) != value:
                 raise DeviceFault(f"{entry} was set to {value} and reads {back}", device=self.name)
 
     async def _switch(self, mode: Mode) -> None:
         """To another mode of operation, proven by the drive's display."""
         self._mode = mode
         self._control(drive.ENABLE)
-        node, until = self._node, asyncio.get_running_loop().time() + ANSWER_S
+        node, until = self.node, asyncio.get_running_loop().time() + ANSWER_S
         while await node.upload(drive.MODE_SHOWN) != mode:
             seen = node.tidings
             await self._refuse(await self._status())
@@ -324,7 +326,7 @@ class CanAxis:
         self, answer: Callable[[Step, Status], Step], words: Mapping[Step, int], arrival_s: float
     ) -> None:
         """Lead the drive through one motion, from the first controlword to "reached". Raises as `move_to`."""
-        node, loop, step = self._node, asyncio.get_running_loop(), Step.CLEAR
+        node, loop, step = self.node, asyncio.get_running_loop(), Step.CLEAR
         arrive_by = loop.time() + arrival_s
         until = loop.time() + ANSWER_S
         self._control(words[step])
@@ -347,23 +349,26 @@ class CanAxis:
         """Why a motion under way has ended; nothing while it goes on. Raises as `move_to`."""
         if self._halted:
             raise Interrupted("halted on the way", device=self.name)
-        if self._node.boots != self._boots:
+        if self.node.boots != self._boots:
             raise DeviceFault("restarted on the way", device=self.name)
         if not status.voltage:
             raise SafetyOpen("stopped, no power", device=self.name)
         if status.state is State.OPERATION_ENABLED:
             if status.bit(drive.DEVIATION):
                 raise DeviceFault(f"following or homing error: {await self._error()}", device=self.name)
+            if (said := self.node.emergency) is not None and said.code:
+                # A quick stop of its own is undone by a controlword that was still on its way, and then looks arrived.
+                raise DeviceFault(f"reported {drive.error_text(said.code)} on the way", device=self.name)
             return
         if status.state is State.FAULT_REACTION:
             return  # it stops; the fault comes when it stands
-        if status.state is State.QUICK_STOP_ACTIVE and self._node.emergency is None:
+        if status.state is State.QUICK_STOP_ACTIVE and self.node.emergency is None:
             raise Interrupted("halted on the way", device=self.name)
         raise DeviceFault(f"stopped by itself: {await self._error()}", device=self.name)
 
     async def _error(self) -> str:
         """The drive's own reason, from its error code; where that is gone, from its last emergency message."""
-        code = await self._node.upload(drive.ERROR_CODE)
-        if code == 0 and self._node.emergency is not None:
-            code = self._node.emergency.code
+        code = await self.node.upload(drive.ERROR_CODE)
+        if code == 0 and self.node.emergency is not None:
+            code = self.node.emergency.code
         return drive.error_text(code) if code else "no reason given"

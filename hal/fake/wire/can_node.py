@@ -1,7 +1,7 @@
 """A CANopen node of a simulated drive on the hub: SDO server, PDOs, heartbeats both ways, emergencies, and its faults.
 
 Faults of the book: ``gone`` (cable out: neither hears nor says anything), ``hung`` (beats, but answers nothing),
-``late`` (answers late). Beyond that, a test can call `restart`, `emergency`, `mute` and `abort_next`.
+``late`` (answers late). Beyond that, a test can use `restart`, `emergency`, `muted`, `abort_next` and `late_next`.
 """
 
 from __future__ import annotations
@@ -49,6 +49,8 @@ class CanNode:
         """Whether its heartbeat is held back."""
         self.abort_next: list[int] = []
         """Abort codes for the next SDO requests, whatever they ask."""
+        self.late_next: list[float] = []
+        """Seconds by which the next SDO replies are late, while heartbeats go on."""
         self._shown: bytes | None = None
         self._handles: dict[str, asyncio.TimerHandle] = {}
         self._queued: deque[Callable[[], None]] = deque()
@@ -150,7 +152,11 @@ class CanNode:
         else:
             answer = self._sdo.answer(request)
         if answer is not None:
-            self._say(CanFrame(cia.SDO_REPLY + self._number, answer))
+            reply = CanFrame(cia.SDO_REPLY + self._number, answer)
+            if self.late_next:
+                self._queue(self.late_next.pop(0), lambda: self._out(reply))
+            else:
+                self._say(reply)
 
     def _say(self, frame: CanFrame) -> None:
         """An answer, late where the book says so, never before an earlier one."""
