@@ -48,7 +48,8 @@ class CanAxisEntry(_AnyAxis):
 
     The drive's position unit is 1/`counts_per_unit` mm or deg; `feed` is in those, per `feed_shaft` revolutions.
     `referenced_bit` of the statusword says that the reference is valid; `standstill` is per second. `homing_method`
-    is the drive's (0x6098). Identity numbers that are given must be met.
+    is the drive's (0x6098); `brake`: the drive closes a holding brake and says so (0x60FE). Identity numbers that are
+    given must be met.
     """
 
     kind: Literal["canopen"]
@@ -62,6 +63,7 @@ class CanAxisEntry(_AnyAxis):
     feed_shaft: int = Field(default=1, gt=0)
     homing_method: int = Field(ge=-128, le=37)
     homing_share: Fraction = Field(default=0.5, gt=0, le=1)
+    brake: bool = True
     referenced_bit: Literal[8, 14, 15] = 15
     following_error: float = Field(default=1.0, gt=0)
     standstill: float = Field(default=0.01, gt=0)

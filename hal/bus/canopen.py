@@ -55,6 +55,7 @@ class Node:
         self.values: dict[Entry, int] = {}
         """The last value of each entry that a PDO brought: for showing and watching; commands ask."""
         self.emergency: Emergency | None = None
+        """The last one; None once the node has said that there is no error."""
         self.lost = ""
         """Why the node is not heard; empty while it is, and before its first beat."""
         self._state: NmtState | None = None
@@ -99,7 +100,8 @@ class Node:
                     self._beat(heartbeat_state(frame.data))
                     return
                 case int(function) if function == EMCY:
-                    self.emergency = Emergency.decode(frame.data)
+                    said = Emergency.decode(frame.data)
+                    self.emergency = said if said.code else None
                 case _:
                     self.values |= unpack(LAYOUTS[function], frame.data)
                     if function == TPDO2:
@@ -176,8 +178,11 @@ class Node:
             raise DeviceFault(str(error), device=self._name) from None
 
     async def text(self, index: int) -> str:
-        """A visible string."""
-        data = await self._transfer(sdo.upload(index, 0), f"{index:#06x}:0")
+        """A visible string; empty where the node has none, which is its right. Raises as `upload`."""
+        try:
+            data = await self._transfer(sdo.upload(index, 0), f"{index:#06x}:0")
+        except DeviceRefused:
+            return ""
         return data.rstrip(b"\0").decode("ascii", "replace")
 
     async def download(self, entry: Entry, value: int) -> None:

@@ -119,7 +119,7 @@ class CanAxis:
         return (await self._look())[1]
 
     async def safe(self) -> SafeState:
-        """Safe while the drive says that it stands and its encoder agrees."""
+        """Safe while the drive says that it stands and its encoder agrees; with a brake: and something holds it."""
         self._require("safe")
         status, state = await self._look()
         if state.moving:
@@ -127,7 +127,8 @@ class CanAxis:
         held = "brake closed" if state.brake_closed else "held by the drive" if status.held else "without torque"
         stop = ", quick stop active" if status.state is State.QUICK_STOP_ACTIVE else ""
         return SafeState(
-            status.held or state.brake_closed, f"{self.name} stands at {state.position:.3f} {self.unit}, {held}{stop}"
+            status.held or state.brake_closed or not self._entry.brake,
+            f"{self.name} stands at {state.position:.3f} {self.unit}, {held}{stop}",
         )
 
     async def _look(self) -> tuple[Status, AxisState]:
@@ -136,7 +137,7 @@ class CanAxis:
         status = await self._status()
         velocity = await node.upload(drive.VELOCITY) / scale
         position = await node.upload(drive.POSITION) / scale
-        outputs = await node.upload(drive.OUTPUTS)
+        outputs = await node.upload(drive.OUTPUTS) if self._entry.brake else 0
         state = AxisState(
             position=position,
             velocity=velocity,
@@ -356,7 +357,7 @@ class CanAxis:
         if status.state is State.OPERATION_ENABLED:
             if status.bit(drive.DEVIATION):
                 raise DeviceFault(f"following or homing error: {await self._error()}", device=self.name)
-            if (said := self.node.emergency) is not None and said.code:
+            if (said := self.node.emergency) is not None:
                 # A quick stop of its own is undone by a controlword that was still on its way, and then looks arrived.
                 raise DeviceFault(f"reported {drive.error_text(said.code)} on the way", device=self.name)
             return

@@ -9,17 +9,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from hal.bus.hub import BusFault, Kind
+from hal.bus.hub import BusFault, CanHub, Kind
 from hal.clock import QuickenedLoop
 from hal.codec.cia301 import HEARTBEAT, RPDO1, RPDO2, SDO_REPLY, SDO_REQUEST, TPDO1
 from hal.codec.cia402 import FEED, MODE_SHOWN, POSITION, START, STATUSWORD, VELOCITY
 from hal.codec.lawicel import CanFrame
 from hal.codec.sdo import RANGE
 from hal.errors import DeviceError, DeviceFault, DeviceRefused, DeviceTimeout, Interrupted, NotConnected
+from hal.fake.devices.build import AXIS_UNITS
 from hal.fake.faults import FaultBook
+from hal.fake.wire.can_node import CanNode
 from hal.interfaces import Axis
+from hal.real.axes import CanAxis
 from tests.contract.backends import alone, plant_of
-from tests.contract.wire_axis import Wire, wired
+from tests.contract.wire_axis import Wire, beat, bus_of, entry_of, wired
 
 ROUNDS = 20
 SPEED = 50.0
@@ -374,3 +377,37 @@ def test_under_a_storm_of_faults_it_arrives_or_says_why(seed: int) -> None:
         wire.hub.faults.clear()
 
     on_wire(case)
+
+
+def test_six_drives_share_one_adapter() -> None:
+    async def main() -> None:
+        plant, hub = plant_of("ideal"), CanHub()
+        await hub.start()
+        bus = bus_of(hub)
+        entries = {name: entry_of(name, number) for number, name in enumerate(AXIS_UNITS, start=1)}
+        nodes = [
+            CanNode(hub, entry.node, name, plant, FaultBook(), scale=entry.counts_per_unit, feed=entry.feed)
+            for name, entry in entries.items()
+        ]
+        axes = [CanAxis(name, AXIS_UNITS[name], entry, bus) for name, entry in entries.items()]
+        beats = asyncio.create_task(beat(bus))
+        serials = {identity.serial for identity in await asyncio.gather(*(axis.connect() for axis in axes))}
+        assert len(serials) == len(axes)
+        await asyncio.gather(*(axis.home() for axis in axes))
+        for target in (2.0, 0.0, 3.0):
+            states = await asyncio.gather(*(axis.move_to(target, speed=5.0) for axis in axes))
+            assert [state.position for state in states] == pytest.approx([target] * len(axes), abs=0.01)
+        moves = [under_way(axis, axis.limits.high) for axis in axes]
+        await asyncio.sleep(0.3)
+        await asyncio.gather(*(axis.halt() for axis in axes))
+        assert all(isinstance(error, Interrupted) for error in await asyncio.gather(*moves, return_exceptions=True))
+        assert all([(await axis.safe()).safe for axis in axes])
+        await asyncio.gather(*(axis.close() for axis in axes))
+        beats.cancel()
+        await asyncio.wait({beats})
+        for node in nodes:
+            node.close()
+        await hub.close()
+
+    with asyncio.Runner(loop_factory=partial(QuickenedLoop, 5.0)) as runner:
+        runner.run(alone(main()))
