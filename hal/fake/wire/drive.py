@@ -175,8 +175,8 @@ class Drive:
         trajectory = self._plant.start_move(
             self._name, target / self._scale, speed=speed / self._scale, acceleration=ramp / self._scale, now=now
         )
-        if self._faults.active(self._name, "following_error", now):
-            self._trip()
+        if self._faults.active(self._name, "following_error", now) and self._moving():
+            self.fail(cia.FOLLOWING_ERROR)
             return
 
         def ended() -> None:
