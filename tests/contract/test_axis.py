@@ -133,7 +133,7 @@ def test_a_drive_without_power_stops_by_itself_and_needs_a_rearm(backend: Backen
             await asyncio.sleep(19.5 - asyncio.get_running_loop().time())
             with pytest.raises(SafetyOpen):
                 await axis.move_to(axis.limits.high, speed=0.1 * axis.limits.max_speed)
-            assert asyncio.get_running_loop().time() == pytest.approx(20.0, abs=0.05)
+            assert asyncio.get_running_loop().time() == pytest.approx(20.0, abs=0.25)
             await asyncio.sleep(1.0)
             assert (await axis.safe()).safe
             with pytest.raises(SafetyOpen):
