@@ -111,6 +111,24 @@ class PlainEntry(_Section):
     kind: Literal["fake"]
 
 
+class OpenProtocolEntry(_Section):
+    """A tightening gun behind an Open Protocol controller.
+
+    `serial` is the controller's, checked where it is given. `start_input` and `running_relay` are the controller's
+    functions "remote start" and "tool running"; `estop_alarms` are the codes of its alarms that mean that the
+    hard-wired circuit took its power; `trace_order` is the byte order of its curves.
+    """
+
+    kind: Literal["open_protocol"]
+    host: str
+    port: int = Field(default=4545, ge=1, le=65535)
+    serial: str = ""
+    start_input: int = Field(default=7, ge=0, le=999)
+    running_relay: int = Field(default=26, ge=1, le=999)
+    estop_alarms: tuple[str, ...] = ()
+    trace_order: Literal["big", "little"] = "big"
+
+
 class Devices(_Section):
     """`[devices.NAME]`: every device of the cell, by its name everywhere else."""
 
@@ -120,8 +138,8 @@ class Devices(_Section):
     shaft_table: AnyAxisEntry
     gun_table: AnyAxisEntry
     gun_feed: AnyAxisEntry
-    gun_a: PlainEntry
-    gun_b: PlainEntry
+    gun_a: Annotated[PlainEntry | OpenProtocolEntry, Field(discriminator="kind")]
+    gun_b: Annotated[PlainEntry | OpenProtocolEntry, Field(discriminator="kind")]
     jack_force: ForceEntry
     gun_force_a: ForceEntry
     gun_force_b: ForceEntry

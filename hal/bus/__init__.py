@@ -1,1 +1,1 @@
-"""Wires: each file is the only importer of one library and owns connect, poll and recover of its bus."""
+"""What carries a protocol: one owner of each connection, which connects, polls and recovers."""

@@ -1,1 +1,1 @@
-"""Bytes on a wire to frozen messages and back: pure, shared by backends and simulators."""
+"""Bytes and frozen messages of the devices' own protocols. Pure: no asyncio, no sockets, nothing else of hal."""

@@ -1,1 +1,1 @@
-"""Backends for real devices: the Protocols of hal.interfaces over the buses."""
+"""Backends that speak the devices' own protocols."""

@@ -1,1 +1,1 @@
-"""Device simulators: the plant behind the real protocols."""
+"""Simulators: servers that speak a device's protocol, with the device's fake behind them."""
