@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -15,6 +15,7 @@ from hal.errors import ConfigError
 from hal.units import Bar, Fraction, Kilogram, Mm, NewtonPerMm, Seconds, Watt
 
 Level = Literal["ideal", "nominal", "hostile"]
+_BY_KIND = Field(discriminator="kind")
 
 
 class _Section(BaseModel):
@@ -59,6 +60,53 @@ class PlainEntry(_Section):
     kind: Literal["fake"]
 
 
+class ModbusEntry(_Section):
+    """A device behind a Modbus server (`host`, `port`) or on a serial line (`port_path`, framing rtu).
+
+    `base` is its first register there. A unit that says another serial number than `serial` is not the one meant.
+    """
+
+    kind: Literal["modbus"]
+    host: str = "127.0.0.1"
+    port: int = Field(default=502, ge=1, le=65535)
+    framing: Literal["tcp", "rtu"] = "tcp"
+    port_path: str = ""
+    baud: int = Field(default=19200, ge=1200)
+    parity: Literal["N", "E", "O"] = "E"
+    deadline_s: Seconds = Field(default=1.5, gt=0)
+    worst_reply_s: Seconds = Field(default=2.0, gt=0)
+    unit: int = Field(default=1, ge=1, le=247)
+    base: int = Field(default=0, ge=0, le=0xFFF)
+    serial: str = ""
+
+
+class ModbusPyrometerEntry(ModbusEntry):
+    """A pyrometer whose set emissivity is read back and compared."""
+
+    emissivity: Fraction = Field(default=0.95, ge=0.05, le=1.1)
+
+
+class ModbusHeaterEntry(ModbusEntry):
+    """The heater controller; it goes off-line where it hears nothing for `watchdog_s`."""
+
+    max_power_w: Watt = Field(default=4000.0, gt=0)
+    watchdog_s: Seconds = Field(default=5.0, ge=1.0, le=60.0)
+
+
+class ModbusStrokeEntry(ModbusEntry):
+    """Something moved by outputs of a coupler that drops them after `watchdog_s` of silence. A motion that takes
+    longer than `stroke_s` has failed."""
+
+    watchdog_s: Seconds = Field(default=1.0, ge=0.1, le=10.0)
+    stroke_s: Seconds = Field(default=8.0, gt=0)
+
+
+class ModbusStationEntry(ModbusEntry):
+    """The part station; presenting takes no longer than `present_s`."""
+
+    present_s: Seconds = Field(default=120.0, gt=0)
+
+
 class Devices(_Section):
     """`[devices.NAME]`: every device of the cell, by its name everywhere else."""
 
@@ -73,19 +121,19 @@ class Devices(_Section):
     jack_force: ForceEntry
     gun_force_a: ForceEntry
     gun_force_b: ForceEntry
-    spigot_tc_1: PlainEntry
-    spigot_tc_2: PlainEntry
-    pyrometer: PlainEntry
-    rotor_tc: PlainEntry
-    heater: HeaterEntry
-    chuck: PlainEntry
-    camera_park: PlainEntry
-    nut_feeder: PlainEntry
-    gap_probe_1: PlainEntry
-    gap_probe_2: PlainEntry
-    gap_probe_3: PlainEntry
-    safety: PlainEntry
-    part_station: PlainEntry
+    spigot_tc_1: Annotated[PlainEntry | ModbusEntry, _BY_KIND]
+    spigot_tc_2: Annotated[PlainEntry | ModbusEntry, _BY_KIND]
+    pyrometer: Annotated[PlainEntry | ModbusPyrometerEntry, _BY_KIND]
+    rotor_tc: Annotated[PlainEntry | ModbusEntry, _BY_KIND]
+    heater: Annotated[HeaterEntry | ModbusHeaterEntry, _BY_KIND]
+    chuck: Annotated[PlainEntry | ModbusStrokeEntry, _BY_KIND]
+    camera_park: Annotated[PlainEntry | ModbusStrokeEntry, _BY_KIND]
+    nut_feeder: Annotated[PlainEntry | ModbusStrokeEntry, _BY_KIND]
+    gap_probe_1: Annotated[PlainEntry | ModbusEntry, _BY_KIND]
+    gap_probe_2: Annotated[PlainEntry | ModbusEntry, _BY_KIND]
+    gap_probe_3: Annotated[PlainEntry | ModbusEntry, _BY_KIND]
+    safety: Annotated[PlainEntry | ModbusEntry, _BY_KIND]
+    part_station: Annotated[PlainEntry | ModbusStationEntry, _BY_KIND]
     scanner: PlainEntry
 
 
