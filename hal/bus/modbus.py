@@ -90,6 +90,7 @@ class Line:
         self._polls: dict[object, tuple[float, Poll]] = {}
         self._due_s: dict[object, float] = {}
         self._errands: list[Poll] = []
+        self._why = ""
         self._sent_s = self._quiet_until_s = -math.inf
 
     async def open(self, holder: object) -> None:
@@ -205,7 +206,7 @@ class Line:
         if self._client is None and asyncio.current_task() is not self._task:
             self._wake.set()
             if not await asyncio.shield(self._attempt):
-                raise NotConnected(f"no connection to {self.link} ({what})", device=device)
+                raise NotConnected(f"no connection to {self.link}{self._why} ({what})", device=device)
 
     def _spoil(self, client: Client | None) -> None:
         """A reply to what was asked may still come, whole or in part."""
@@ -236,11 +237,13 @@ class Line:
                     await self._wake.wait()
 
     async def _connect(self) -> None:
-        link, made = self.link, False
+        link, made, self._why = self.link, False, ""
         client = _client(link, lambda up: None if up else self._drop(client))
-        with contextlib.suppress(TimeoutError):
+        try:
             async with asyncio.timeout(link.deadline_s):
                 made = await client.connect()
+        except Exception as error:  # drivers of serial ports raise what they like, termios.error for one
+            self._why = f": {error}"
         if made:
             self._client, self._lost = client, asyncio.get_running_loop().create_future()
         else:

@@ -10,8 +10,8 @@ from hal.codec.registers import Bits, Block, Float, Scaled, Text
 SIMULATOR = "cellctl"
 """What a simulator calls its vendor."""
 
-VENDOR, MODEL = Text("vendor", 0x1000, 8), Text("model", 0x1008, 8)
-SERIAL, FIRMWARE = Text("serial", 0x1010, 8), Text("firmware", 0x1018, 4)
+VENDOR, MODEL = Text("vendor", 0x1000, 8), Text("model", 0x1008, 12)
+SERIAL, FIRMWARE = Text("serial", 0x1014, 8), Text("firmware", 0x101C, 4)
 IDENTITY = Block((VENDOR, MODEL, SERIAL, FIRMWARE))
 
 # Thermocouple module: one group per channel. The counter grows with each conversion.

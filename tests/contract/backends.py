@@ -118,17 +118,18 @@ async def alone(main: Coroutine[Any, Any, None]) -> None:
 
 
 FAKE = FakeBackend()
-_MODBUS = WireBackend(wire_modbus.installed)
+_MODBUS = WireBackend(wire_modbus.installed, speed=200.0)
+_MODBUS_RTU = WireBackend(wire_modbus.installed_rtu, "wire_rtu", speed=200.0)
 BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType(
     {
         "test_camera_park": (FAKE, _MODBUS),
         "test_chuck": (FAKE, _MODBUS),
         "test_gap_probe": (FAKE, _MODBUS),
-        "test_heater": (FAKE, WireBackend(wire_modbus.installed, speed=200.0)),
+        "test_heater": (FAKE, _MODBUS),
         "test_nut_feeder": (FAKE, _MODBUS),
         "test_part_station": (FAKE, _MODBUS),
         "test_safety": (FAKE, _MODBUS),
-        "test_thermometer": (FAKE, _MODBUS, WireBackend(wire_modbus.installed_rtu, "wire_rtu")),
+        "test_thermometer": (FAKE, _MODBUS, _MODBUS_RTU),
     }
 )
 """By test file, where there are others than the fakes; each has a module `wire_...` of its own beside this one."""

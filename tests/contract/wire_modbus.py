@@ -34,7 +34,7 @@ async def installed_rtu(name: str, plant: Plant, faults: FaultBook) -> AsyncIter
     simulated = SimulatedModbus({UNIT: {0: fake_device(name, plant, faults)}}, plant, faults, "rtu")
     path = await simulated.start_pty()
     try:
-        yield device(name, port_path=path)
+        yield device(name, port_path=path, parity="N")
     finally:
         await simulated.close()
 
