@@ -41,7 +41,9 @@ class Silence(Exception):
 
 @dataclass(slots=True)
 class WireFault:
-    """What happens to the next `times` answers. `value`: seconds of delay, or the exception's code.
+    """What happens to the next `times` answers, to requests of `function` only where one is given.
+
+    `value`: seconds of delay, or the exception's code.
 
     ``exception`` keeps the request from the device; with all others the device has acted.
     """
@@ -49,6 +51,7 @@ class WireFault:
     kind: FaultKind
     value: float = 0.0
     times: int = 1
+    function: int | None = None
 
 
 class Units(Protocol):
@@ -65,6 +68,8 @@ class ModbusServer:
     def __init__(self, units: Units, framing: Framing = "tcp") -> None:
         self.framing: Framing = framing
         self.faults: list[WireFault] = []
+        self.watch: Callable[[Request | Unsupported], None] = void
+        """Told of every request."""
         self.port = 0
         self.port_path = ""
         self._units = units
@@ -136,7 +141,8 @@ class ModbusServer:
                 buffer = b""
 
     async def _answer(self, request: Request | Unsupported, send: Send) -> None:
-        fault = self._next_fault()
+        self.watch(request)
+        fault = self._next_fault(request.function)
         try:
             if isinstance(request, Unsupported):
                 raise Refusal(request.code)
@@ -188,13 +194,12 @@ class ModbusServer:
         body = bytes((frame[0] + 1,)) + frame[1:-2]
         return body + crc16(body).to_bytes(2, "little")
 
-    def _next_fault(self) -> WireFault | None:
-        while self.faults:
-            fault = self.faults[0]
-            if fault.times > 0:
+    def _next_fault(self, function: int) -> WireFault | None:
+        self.faults = [fault for fault in self.faults if fault.times > 0]
+        for fault in self.faults:
+            if fault.function in (None, function):
                 fault.times -= 1
                 return fault
-            self.faults.pop(0)
         return None
 
 

@@ -43,4 +43,4 @@ def device(name: str, lines: Lines | None = None, **numbers: Any) -> Any:
     """The real device of this name at unit `UNIT`, with numbers of its entry in the cell file."""
     field = Devices.model_fields[name]
     entry = next(kind for kind in field.annotation.__args__ if "Modbus" in kind.__name__)  # type: ignore[union-attr]
-    return modbus_device(name, entry(kind="modbus", unit=UNIT, **numbers), lines or Lines())
+    return modbus_device(name, entry(**{"kind": "modbus", "unit": UNIT} | numbers), lines or Lines())

@@ -40,6 +40,7 @@ class SimulatedModbus:
             number: Unit({base: PARTS[fake.name](fake, faults, plant) for base, fake in parts.items()})
             for number, parts in fakes.items()
         }
+        self._by_number = units
         self._units = UnitsByNumber(units, serial=framing == "rtu")
         self.server = ModbusServer(self._units, framing)
 
@@ -52,6 +53,10 @@ class SimulatedModbus:
         """Serve RTU on a pseudo-terminal, whose path is returned."""
         await self.server.start_pty()
         return self.server.port_path
+
+    def part(self, unit: int, base: int = 0) -> Part:
+        """The registers of one device, to be tampered with."""
+        return self._by_number[unit].parts[base]
 
     async def close(self) -> None:
         """Take everything down."""

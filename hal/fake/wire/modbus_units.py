@@ -77,12 +77,12 @@ class Unit:
     """Parts by their base register, and the identity of the first of them."""
 
     def __init__(self, parts: Mapping[int, Part]) -> None:
-        self._parts = dict(parts)
+        self.parts = dict(parts)
         self._lock = asyncio.Lock()
 
     async def close(self) -> None:
         """Close every part."""
-        for part in self._parts.values():
+        for part in self.parts.values():
             await part.close()
 
     async def answer(self, request: Request) -> tuple[int, ...]:
@@ -125,14 +125,14 @@ class Unit:
         begin = request.address - maps.IDENTITY.start
         if request.function not in (READ_HOLDING, READ_INPUT) or begin + request.count > maps.IDENTITY.size:
             raise Refusal(ExceptionCode.ILLEGAL_ADDRESS)
-        who = await next(iter(self._parts.values())).identity()
+        who = await next(iter(self.parts.values())).identity()
         words = maps.IDENTITY.encode(
             {maps.VENDOR: who.vendor, maps.MODEL: who.model, maps.SERIAL: who.serial, maps.FIRMWARE: who.firmware}
         )
         return words[begin : begin + request.count]
 
     def _part(self, request: Request) -> tuple[int, Part]:
-        for base, part in self._parts.items():
+        for base, part in self.parts.items():
             if base <= request.address and request.address + request.count <= base + len(part.words):
                 return base, part
         raise Refusal(ExceptionCode.ILLEGAL_ADDRESS)
