@@ -244,6 +244,9 @@ class Line:
                 made = await client.connect()
         except Exception as error:  # drivers of serial ports raise what they like, termios.error for one
             self._why = f": {error}"
+        if self._task is not asyncio.current_task():
+            client.close()
+            raise asyncio.CancelledError  # asyncio.wait_for, inside the client, may swallow it
         if made:
             self._client, self._lost = client, asyncio.get_running_loop().create_future()
         else:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from hal.codec.modbus import (
-    ExceptionCode,
     FrameError,
     Framing,
     Request,
@@ -30,8 +29,8 @@ Send = Callable[[bytes], None]
 class Refusal(Exception):
     """What was asked is not done, for this reason."""
 
-    def __init__(self, code: ExceptionCode) -> None:
-        super().__init__(code.name)
+    def __init__(self, code: int) -> None:
+        super().__init__(f"exception {code}")
         self.code = code
 
 
@@ -147,7 +146,7 @@ class ModbusServer:
             if isinstance(request, Unsupported):
                 raise Refusal(request.code)
             if fault is not None and fault.kind == "exception":
-                raise Refusal(ExceptionCode(round(fault.value)))
+                raise Refusal(round(fault.value))
             words = await self._units.answer(request)
         except Refusal as error:
             send(refusal(request, error.code, self.framing))
@@ -155,11 +154,13 @@ class ModbusServer:
         except Silence:
             return
         frame = reply(request, words, self.framing)
-        last, self._last = self._last, frame
+        last = self._last
+        if fault is not None and fault.kind == "stale":
+            send(last)
+            return
+        self._last = frame
         if fault is None:
             send(frame)
-        elif fault.kind == "stale":
-            send(last)
         elif fault.kind == "short":
             send(reply(request, words[:-1], self.framing))
         else:

@@ -84,7 +84,7 @@ def reply(request: Request, words: tuple[int, ...], framing: Framing) -> bytes:
     return _frame(request, body, framing)
 
 
-def refusal(request: Request | Unsupported, code: ExceptionCode, framing: Framing) -> bytes:
+def refusal(request: Request | Unsupported, code: int, framing: Framing) -> bytes:
     """Frame that answers `request` with an exception."""
     return _frame(request, bytes((request.function | _EXCEPTION, code)), framing)
 

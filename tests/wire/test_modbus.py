@@ -307,12 +307,10 @@ def test_a_frozen_safety_mirror_is_unknown() -> None:
 
 def test_devices_on_one_serial_line_keep_their_answers_apart() -> None:
     async def main() -> None:
-        book = FaultBook(
-            (Fault("spigot_tc_1", "stuck", value=101.0), Fault("spigot_tc_2", "stuck", value=102.0))
-            + (Fault("rotor_tc", "stuck", value=103.0),)
-        )
+        stuck = {"spigot_tc_1": 101.0, "spigot_tc_2": 102.0, "rotor_tc": 103.0}
+        book = FaultBook(Fault(name, "stuck", value=value) for name, value in stuck.items())
         plant = plant_of("ideal")
-        fakes = {name: fake_device(name, plant, book) for name in ("spigot_tc_1", "spigot_tc_2", "rotor_tc")}
+        fakes = {name: fake_device(name, plant, book) for name in stuck}
         behind = {UNIT: {0: fakes["spigot_tc_1"], 4: fakes["spigot_tc_2"]}, 18: {0: fakes["rotor_tc"]}}
         simulated = SimulatedModbus(behind, plant, book, "rtu")
         port, lines = await simulated.start(), Lines()
@@ -322,7 +320,7 @@ def test_devices_on_one_serial_line_keep_their_answers_apart() -> None:
         simulated.server.faults.extend(WireFault("late", BEYOND_S) for _ in range(TIMES))
         for _ in range(2 * TIMES):
             readings = await asyncio.gather(*(one.read() for one in made), return_exceptions=True)
-            for reading, value in zip(readings, (101.0, 102.0, 103.0), strict=True):
+            for reading, value in zip(readings, stuck.values(), strict=True):
                 assert isinstance(reading, DeviceTimeout) or reading.value == value  # type: ignore[union-attr]
         assert all(not isinstance(reading, BaseException) for reading in readings)
         await asyncio.gather(*(one.close() for one in made))
