@@ -87,8 +87,8 @@ class Line:
         self._holders: set[object] = set()
         self._client: Client | None = None
         self._task: asyncio.Task[None] | None = None
-        self._polls: dict[object, tuple[float, Poll]] = {}
-        self._due_s: dict[object, float] = {}
+        self._polls: dict[object, tuple[int, float, Poll]] = {}
+        self._heard_s: dict[int, float] = {}
         self._errands: list[Poll] = []
         self._why = ""
         self._sent_s = self._quiet_until_s = -math.inf
@@ -106,7 +106,7 @@ class Line:
     async def close(self, holder: object) -> None:
         """Let go; the last one takes the line down. Never raises."""
         self._holders.discard(holder)
-        self.poll(holder, math.inf, None)
+        self._polls.pop(holder, None)
         task = self._task
         if self._holders or task is None:
             return
@@ -117,13 +117,10 @@ class Line:
         if not self._attempt.done():
             self._attempt.set_result(False)
 
-    def poll(self, holder: object, every_s: float, call: Poll | None) -> None:
-        """Have the monitor await `call` every `every_s` while the line stands; None ends it."""
-        self._polls.pop(holder, None)
-        self._due_s.pop(holder, None)
-        if call is not None:
-            self._polls[holder] = (every_s, call)
-            self._wake.set()
+    def poll(self, holder: object, unit: int, every_s: float, call: Poll) -> None:
+        """Have the monitor await `call` where nothing was asked of `unit` for `every_s`, until `holder` lets go."""
+        self._polls[holder] = (unit, every_s, call)
+        self._wake.set()
 
     def errand(self, call: Poll) -> None:
         """Have the monitor await `call` once, soon: for what must be sent by a task that is being cancelled."""
@@ -138,6 +135,7 @@ class Line:
             return client.read_input_registers(address, count=count, device_id=unit)
 
         reply = await self._exchange(request, what, READ_INPUT, device)
+        self._heard_s[unit] = asyncio.get_running_loop().time()
         if len(reply.registers) != count:
             self._spoil(self._client)
             raise DeviceFault(f"{len(reply.registers)} registers came to a {what}", device=device)
@@ -151,6 +149,7 @@ class Line:
             return client.write_registers(address, list(words), device_id=unit)
 
         reply = await self._exchange(request, what, WRITE_MANY, device)
+        self._heard_s[unit] = asyncio.get_running_loop().time()
         if (reply.address, reply.count) != (address, len(words)):
             self._spoil(self._client)
             raise DeviceFault(f"{reply.count} registers at {reply.address} acknowledged to a {what}", device=device)
@@ -258,9 +257,9 @@ class Line:
         now = asyncio.get_running_loop().time()
         calls = self._errands
         self._errands = []
-        for holder, (every_s, call) in self._polls.items():
-            if now >= self._due_s.get(holder, -math.inf):
-                self._due_s[holder] = now + every_s
+        for unit, every_s, call in self._polls.values():
+            if now >= self._heard_s.get(unit, -math.inf) + every_s:
+                self._heard_s[unit] = now
                 calls.append(call)
         for call in calls:
             with contextlib.suppress(CellError):  # whoever asks next is told
@@ -270,7 +269,8 @@ class Line:
         if self._client is None:
             return RETRY_S
         now = asyncio.get_running_loop().time()
-        return min((max(0.0, self._due_s.get(holder, now) - now) for holder in self._polls), default=None)
+        waits = (self._heard_s.get(unit, now) + every_s - now for unit, every_s, _ in self._polls.values())
+        return min((max(0.0, wait) for wait in waits), default=None)
 
 
 def _client(link: Link, told: Callable[[bool], None]) -> Client:

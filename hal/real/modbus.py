@@ -71,15 +71,19 @@ class ModbusDevice:
 
     async def _write(self, block: Block, values: Values) -> None:
         """Write one block, once, and read it back. Raises DeviceRefused where a value does not fit."""
-        if self._identity is None:
-            raise NotConnected("not connected", device=self.name)
-        words = self._words(block, values)
-        address = self._entry.base + block.start
-        await self._line.write(self._entry.unit, address, words, device=self.name)
+        words = await self._send(block, values)
         back = (await self._read(block)).words
         if back != words:
             names = ", ".join(field.name for field in block.fields)
             raise DeviceFault(f"{names} not taken: wrote {words}, read back {back}", device=self.name)
+
+    async def _send(self, block: Block, values: Values) -> tuple[int, ...]:
+        """As `_write`, where what is to be read back is the effect."""
+        if self._identity is None:
+            raise NotConnected("not connected", device=self.name)
+        words = self._words(block, values)
+        await self._line.write(self._entry.unit, self._entry.base + block.start, words, device=self.name)
+        return words
 
     def _words(self, block: Block, values: Values) -> tuple[int, ...]:
         """Registers that say `values`. Raises DeviceRefused where one does not fit."""

@@ -60,7 +60,7 @@ class Heater(ModbusDevice):
     async def _settle(self) -> None:
         """Arm the watchdog, and keep it fed by reading."""
         await self._arm()
-        self._line.poll(self, self._watchdog_s / POLLS_PER_WATCHDOG, self.read)
+        self._line.poll(self, self._entry.unit, self._watchdog_s / POLLS_PER_WATCHDOG, self.read)
 
     async def read(self) -> HeaterState:
         """What the controller says of itself."""
@@ -79,7 +79,7 @@ class Heater(ModbusDevice):
             raise DeviceRefused(f"alarm: {alarm}", device=self.name)
         await self._arm()
         await self._order(setpoint_c, ramp_k_per_min, max_power_w)
-        await self._write(maps.HEATER_RUN, {maps.HEATER_RUN_WORD: 1})
+        await self._send(maps.HEATER_RUN, {maps.HEATER_RUN_WORD: 1})
         state = await self.read()
         if not (state.on and state.watchdog_armed):
             raise self._fault(f"asked to heat it says on {state.on}, watchdog armed {state.watchdog_armed}")
@@ -87,7 +87,7 @@ class Heater(ModbusDevice):
 
     async def off(self) -> HeaterState:
         """Open the contactor. Raises DeviceFault where it stays closed."""
-        await self._write(maps.HEATER_RUN, {maps.HEATER_RUN_WORD: 0})
+        await self._send(maps.HEATER_RUN, {maps.HEATER_RUN_WORD: 0})
         state = await self.read()
         if state.on:
             raise self._fault("the contactor does not open")
