@@ -136,6 +136,7 @@ def campaigns() -> dict[str, Campaign]:
         "elements": partial(seen, nights.elements),
         "studs": partial(seen, nights.studs),
         "flanges": partial(seen, nights.flanges),
+        "files": partial(seen, nights.files),
     }
 
 

@@ -22,9 +22,11 @@ from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, stan
 RANSAC_POINTS = 12_000
 MAX_NOISE_MM = 0.5
 LEAST_DISTANCE_MM = 100.0
+ENOUGH_PLANES = 4  # smaller ones are looked at only where these show no pattern
 CLEAR_SIDE, SIDE_POINTS = 5.0, 200_000
 """Standard deviations by which the holes tell the side, and how many points are looked at."""
 RIVALS, MOST_RIVALS = 0.25, 8  # poses that score so much less, per feature, are told apart by their outlines
+SECOND = 0.5  # score per feature from which on a pose elsewhere is a second part
 LEAST_LIKENESS = 0.25  # per feature: chance voids in a few of the places are no pattern
 CELLS_PER_SPACING, CELLS_PER_RADIUS = 1.6, 4.0
 THINNED_POINTS = 120_000
@@ -52,6 +54,14 @@ class _Thinned:
     cells: float
 
 
+class _Ambiguous(Refused):
+    """A plane (pattern_ambiguous) that shows the pattern with this score, but not where or how it is turned."""
+
+    def __init__(self, reason: str, score: float) -> None:
+        super().__init__("pattern_ambiguous", reason)
+        self.score = score
+
+
 def find_face(points: Columns, part: Part, eye: Array | None, reference: Array, rng: np.random.Generator) -> Face:
     """The face among clutter. `eye` (3,) is the side it is seen from, None where only the points can tell; `reference`
     (3,) the direction that a clocking of 0 is nearest to.
@@ -65,19 +75,23 @@ def find_face(points: Columns, part: Part, eye: Array | None, reference: Array, 
         densities.insert(0, _thinned(points, rng))
     best: Face | None = None
     refusal: Refused | None = None
-    seen = 0
+    seen, beaten = 0, -np.inf
     for seen, plane in enumerate(find_planes(some.stacked(), rng), start=1):
         if seen == 1 and plane.sigma_mm > MAX_NOISE_MM:
             raise Refused("too_noisy", f"the largest plane scatters by {plane.sigma_mm:.2f} mm")
         try:
             face = _try_plane(densities, plane, part, eye, reference)
+        except _Ambiguous as error:
+            refusal, beaten = refusal or error, max(beaten, error.score + 0.1 * part.count)
+            continue
         except Refused as error:
             refusal = refusal or error
             continue
         # planes come largest first: a smaller one must show the pattern plainly better
-        if face is not None and (best is None or face.pattern.score > best.pattern.score + 0.1 * part.count):
-            best = face
-        if best is not None and best.pattern.matched == part.count and best.pattern.score > 0.8 * part.count:
+        if face is not None and face.pattern.score > beaten:
+            best, beaten = face, face.pattern.score + 0.1 * part.count
+        whole = best is not None and best.pattern.matched == part.count and best.pattern.score > 0.8 * part.count
+        if whole or (best is not None and seen >= ENOUGH_PLANES):
             break
     if seen == 0:
         raise Refused("face_not_found", "no plane was found in the cloud")
@@ -185,7 +199,8 @@ def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part
     if not rivals:
         return None
     if len(rivals) > 1 and rivals[1].score > rivals[0].score - CLEAR_MARGIN:
-        raise Refused("pattern_ambiguous", "two clockings of the pattern are met equally well")
+        raise _Ambiguous("two clockings of the pattern are met equally well", rivals[0].score)
+    _refuse_two(part, rivals)
     _refuse_further(part, rivals[0], positions, radii, scores, tolerance)
     pattern = _nearest_to(rivals[0], frame, blind, reference)
     radii = _matched_radii(part, pattern, positions, radii)
@@ -234,6 +249,14 @@ def _studs(local: Columns, on_plane: Array, part: Part, space: float) -> list[Vo
         if 2 * len(most) > part.count:
             break
     return most
+
+
+def _refuse_two(part: Part, poses: list[PatternPose]) -> None:
+    """Refuse (pattern_ambiguous) where the pattern stands in a second place as well: no score says which is meant."""
+    for other in poses[1:]:
+        aside = float(np.hypot(*(other.centre_mm - poses[0].centre_mm)))
+        if aside > 0.5 * part.circle_diameter_mm and other.score > SECOND * part.count:
+            raise _Ambiguous(f"the pattern is met in two places, {aside:.0f} mm apart", poses[0].score)
 
 
 def _refuse_further(

@@ -5,13 +5,14 @@ Works in the part's approximate frame: origin at the pattern's centre on the fac
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.vision import hole_fit, hole_model
 from cellctl.vision.columns import Columns
+from cellctl.vision.eye import over_holes
 from cellctl.vision.geometry import Array
 from cellctl.vision.hole_refine import refine
 from cellctl.vision.outline import Outline, edge_band_mm, fit_outlines
@@ -25,6 +26,7 @@ MIN_ARC = 0.5
 MIN_TORN_ARC = 0.25  # where the other holes tell the radius and the shape of the edge
 MIN_EDGE_POINTS = 12
 MAX_FILL = 0.25
+ROUGHER = 2.0  # residuals of a hole's model against those of the others that are still alike
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,16 +102,20 @@ def measure_holes(
     """All holes from points in the part's approximate frame, with the hole (M,) that each lies around; `radii_mm` (n,)
     are the voids' radii."""
     around = _gather(near, owner, part, radii_mm)
+    if sight.eye is None:
+        sight = replace(sight, eye=_eye(around, part, radii_mm))
     if part.chamfer_diameter_mm is not None:
         by_rim = _by_rim(around, part, radii_mm, sight)
     else:
         by_rim = _by_outline(around, part, radii_mm, sight)
     chosen = [k for k in range(part.count) if by_rim[k].found]
     modelled = _by_model(around, chosen, by_rim, part, sight)
-    return tuple(
-        modelled[k] if k in modelled and _better(modelled[k], by_rim[k], sight.spacing_mm) else by_rim[k]
-        for k in range(part.count)
-    )
+    if part.chamfer_diameter_mm is None:
+        return tuple(
+            modelled[k] if k in modelled and _better(modelled[k], hole, sight.spacing_mm) else hole
+            for k, hole in enumerate(by_rim)
+        )
+    return _settled(by_rim, modelled, part, sight.spacing_mm)
 
 
 def _gather(near: Columns, owner: NDArray[np.intp], part: Part, radii_mm: Array) -> _Around:
@@ -126,6 +132,13 @@ def _gather(near: Columns, owner: NDArray[np.intp], part: Part, radii_mm: Array)
     return _Around(near.take(rows).stacked(), starts, owner[rows], pixels)
 
 
+def _eye(around: _Around, part: Part, radii_mm: Array) -> Array | None:
+    """From where the points were seen, as the walls show it."""
+    walls = radii_mm if part.diameter_mm is None else 0.5 * np.asarray(part.diameter_mm)
+    slope = np.tan(np.radians(part.chamfer_angle_deg or 45.0))
+    return over_holes(around.points, around.owner, nominal(part), walls, float((radii_mm - walls).max() / slope) + 0.3)
+
+
 def _by_rim(around: _Around, part: Part, radii_mm: Array, sight: Sight) -> list[Hole]:
     """Every chamfered hole as its rim shows it: found with a place to start from, or missing with the reason."""
     centres = nominal(part)
@@ -136,11 +149,9 @@ def _by_rim(around: _Around, part: Part, radii_mm: Array, sight: Sight) -> list[
         seen = None
         if np.isfinite(rims.arc[k]):
             points = round(float(rims.arc[k]) * 2.0 * np.pi * float(rims.radius_mm[k]) / sight.spacing_mm)
-            # an edge point stands off by up to a spacing; about every second sector is independent
-            variance = 4.0 * float(rims.scatter_mm[k]) ** 2 / max(points, 1)
             seen = Outline(
                 centre_mm=centres[k] + rims.centre_mm[k], radius_mm=float(rims.radius_mm[k]),
-                covariance=variance * np.eye(2), scatter_mm=float(rims.scatter_mm[k]), arc=float(rims.arc[k]),
+                covariance=rims.covariance_mm2[k], scatter_mm=float(rims.scatter_mm[k]), arc=float(rims.arc[k]),
                 fill=float(rims.fill[k]), points=points,
             )  # fmt: skip
         holes.append(_judged(seen, part, k, float(radii_mm[k]), centres[k]))
@@ -177,7 +188,8 @@ def _why_missing(outline: Outline | None, nominal_mm: Array, radius_mm: float, l
         return f"only {100 * outline.arc:.0f} % of the outline was seen"
     if outline.points < MIN_EDGE_POINTS:
         return f"only {outline.points} points lie along the outline"
-    if np.hypot(*(outline.centre_mm - nominal_mm)) > 0.5 * radius_mm:
+    # half of an outline says where a hole is: one in a wrong place is found there, and speaks against the part
+    if outline.arc < MIN_ARC and np.hypot(*(outline.centre_mm - nominal_mm)) > 0.5 * radius_mm:
         return "the void found lies off the hole's place"
     if not 0.6 * radius_mm < outline.radius_mm < 1.5 * radius_mm:
         return f"the void found has radius {outline.radius_mm:.2f} mm instead of {radius_mm:.2f} mm"
@@ -241,3 +253,26 @@ def _better(model: Hole, outline: Hole, spacing_mm: float) -> bool:
     spread = float(np.sqrt(np.trace(outline.covariance[:2, :2])))
     surer = float(np.trace(model.covariance[:2, :2])) < float(np.trace(outline.covariance[:2, :2]))
     return surer and apart < 6.0 * spread + 0.5 * spacing_mm
+
+
+def _settled(rims: list[Hole], modelled: dict[int, Hole], part: Part, spacing_mm: float) -> tuple[Hole, ...]:
+    """The chamfered holes by model or rim, or missing where these contradict each other or the other holes.
+
+    The edge of a patch without points passes for a piece of a rim: what is torn gets another size and place than the
+    other rims have. A model is believed against its rim where it fits as the other models do.
+    """
+    drawn = np.zeros(part.count) if part.diameter_mm is None else 0.5 * np.asarray(part.diameter_mm)
+    found = [k for k, hole in enumerate(rims) if hole.found]
+    wide = float(np.median([rims[k].radius_mm - drawn[k] for k in found])) if found else 0.0
+    usual = float(np.median([hole.residual_mm for hole in modelled.values()])) if modelled else 0.0
+    holes = list(rims)
+    for k in found:
+        model, off = modelled.get(k), rims[k].radius_mm - drawn[k] - wide
+        if model is not None and _better(model, rims[k], spacing_mm):
+            holes[k] = model
+        elif model is not None and float(np.hypot(*(model.centre_mm - rims[k].centre_mm))) > spacing_mm:
+            fits = model.residual_mm < ROUGHER * usual
+            holes[k] = model if fits else missing("its rim and its chamfer and wall contradict each other")
+        elif abs(off) > spacing_mm:
+            holes[k] = missing(f"its rim is torn: it seems {2.0 * off:+.2f} mm wider than those of the other holes")
+    return tuple(holes)

@@ -18,8 +18,9 @@ from cellctl.vision.part import Part, Refused
 from cellctl.vision.pattern import nominal, symmetry
 from cellctl.vision.walls import wall_radii
 
-OUTLINE_SHARE, CLEAR_ARC, CLOSED = 0.3, 0.5, 0.25
-"""What an outline's radius is known to, in spacings; how much of it must be seen; how much of a hole may be covered."""
+OUTLINE_SHARE, CLEAR_ARC, CLOSED = 0.3, 0.75, 0.25
+"""What an outline's radius is known to, in spacings; how much of it must be seen, because a torn hole looks larger than
+it is; how much of a hole may be covered."""
 SIZE_SIGMA, SIZE_CLIP, CLEAR_COST = 0.02, 3.0, 4.0
 """One sigma of a hole's relative size, the most that one hole counts (sigmas), by how much the best turn must win."""
 

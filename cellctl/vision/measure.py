@@ -25,6 +25,7 @@ from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refu
 from cellctl.vision.pattern import PatternFit, blind_to_sizes, symmetry
 from cellctl.vision.placing import centres_on, check_known, place_pattern, well_seen
 from cellctl.vision.plane import fit_face
+from cellctl.vision.rays import regridded
 from cellctl.vision.shared_noise import on_face as shared_noise
 from cellctl.vision.studs import measure_studs
 from cellctl.vision.walls import wall_radii
@@ -61,14 +62,15 @@ def measure_part(
     min_points_per_feature, pattern_rms_mm and sigma_mm. Raises Refused with a code of `cellctl.vision.part`.
     """
     cloud = as_cloud(points)
-    grid: Points = cloud.points
+    rng = np.random.default_rng(seed)
+    grid: Points = cloud.points if cloud.organised else regridded(cloud.points, rng)
     if gates.outlier_removal != "none":
         grid = outliers.without_outliers(grid, sides=gates.outlier_removal)  # eq. 2-3
-    pinhole = viewpoint(grid) if cloud.organised else None
+    pinhole = viewpoint(grid) if grid.ndim == 3 else None
     scan = Columns.of(grid)
     eye = np.zeros(3) if pinhole is None and T_frame_scanner is not None else pinhole
     reference = np.array([1.0, 0.0, 0.0]) if T_frame_scanner is None else T_frame_scanner[0, :3]
-    found = find_face(scan, part, eye, reference, np.random.default_rng(seed))
+    found = find_face(scan, part, eye, reference, rng)
     # Without rays or a pose nothing says where the scanner stood.
     seen_from = np.full(3, np.nan) if eye is None else eye
     eye = _likely_eye(found) if eye is None else eye

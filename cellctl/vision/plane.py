@@ -44,7 +44,7 @@ def robust_sigma(residuals: Array) -> float:
 
 
 def find_planes(
-    points: Array, rng: np.random.Generator, *, count: int = 4, tau_mm: float = 0.15, trials: int = 1000
+    points: Array, rng: np.random.Generator, *, count: int = 8, tau_mm: float = 0.15, trials: int = 1000
 ) -> Iterator[Plane]:
     """Up to `count` planes in points (N, 3), the one with the most points first; each is looked for when it is asked.
 

@@ -14,18 +14,21 @@ from cellctl.vision.geometry import Array
 
 TUKEY = 6.0
 """An edge scatters with long tails that still carry its place: cut later than where noise is normal."""
+STEPPED = 4.0
+"""Neighbouring sectors stand off alike, and not evenly about the rim: errors do not average out as white noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rims:
-    """Circles through the innermost face points of each sector: `centre_mm` (K, 2) from the nominal places, `radius_mm`
-    (K,), `scatter_mm` (K,) of the edge, and how the rim looks.
+    """Circles through the innermost face points of each sector: `centre_mm` (K, 2) from the nominal places and its
+    `covariance_mm2` (K, 2, 2), `radius_mm` (K,), `scatter_mm` (K,) of the edge, and how the rim looks.
 
     `arc` (K,) is the share of the sectors that show an edge near the circle, `fill` (K,) the share of the disk inside
     that face points cover; all NaN where next to no edge was seen.
     """
 
     centre_mm: Array
+    covariance_mm2: Array
     radius_mm: Array
     scatter_mm: Array
     arc: Array
@@ -38,9 +41,10 @@ def look(uv: Array, owner: NDArray[np.intp], radii_mm: Array, spacing_mm: float)
     sectors = int(np.clip(2.0 * np.pi * float(np.median(radii_mm)) / (1.1 * spacing_mm), 12, 180))
     centre, radius = np.zeros((count, 2)), radii_mm.astype(np.float64)
     scatter, kept = np.full(count, np.nan), np.zeros((count, sectors), dtype=np.bool_)
+    normal = np.tile(np.eye(3), (count, 1, 1))
     for _ in range(2):
         edge, direction = _edges(uv, owner, centre, radius, sectors)
-        shift, radius, scatter, kept = _circles(edge, direction, radius, spacing_mm)
+        shift, radius, scatter, kept, normal = _circles(edge, direction, radius, spacing_mm)
         centre = centre + shift
     rho2 = np.square(uv - centre[owner]).sum(axis=1)
     inside = np.bincount(owner[rho2 < np.square(0.8 * radius)[owner]], minlength=count)
@@ -49,6 +53,7 @@ def look(uv: Array, owner: NDArray[np.intp], radii_mm: Array, spacing_mm: float)
     expected = np.maximum(np.pi * np.square(0.8 * radius) / spacing_mm**2, 1.0)
     return Rims(
         centre_mm=centre * whole[:, None],
+        covariance_mm2=STEPPED * (np.square(scatter) * whole)[:, None, None] * np.linalg.inv(normal)[:, :2, :2],
         radius_mm=(radius - 0.5 * spacing_mm) * whole,  # the innermost point stands off by half a spacing on average
         scatter_mm=scatter,
         arc=np.mean(kept, axis=1) * whole,
@@ -75,13 +80,15 @@ def _edges(uv: Array, owner: NDArray[np.intp], centre: Array, radius: Array, sec
 
 def _circles(
     edge: Array, direction: Array, radius: Array, spacing_mm: float
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Robust circles: shift of the centres (K, 2), radii (K,), scatter (K,), sectors (K, S) that lie on them."""
+) -> tuple[Array, Array, Array, NDArray[np.bool_], Array]:
+    """Robust circles: shift of the centres (K, 2), radii (K,), scatter (K,), sectors (K, S) that lie on them, normal
+    matrices (K, 3, 3) of centre and radius."""
     there = np.isfinite(edge)
     design = np.stack([direction[0], direction[1], np.ones(edge.shape)])
     answer = np.concatenate([np.zeros((len(radius), 2)), radius[:, None]], axis=1)
     scatter = np.full(len(radius), np.nan)
     weights = there.astype(np.float64)
+    normal = np.zeros((len(radius), 3, 3))
     for _ in range(6):
         miss = np.where(there, edge - np.einsum("kp,pks->ks", answer, design), np.nan)
         with np.errstate(all="ignore"):
@@ -98,6 +105,7 @@ def _circles(
         np.clip(answer[:, 2], 0.5 * radius, 2.0 * radius),
         scatter,
         weights > 0,
+        normal,
     )
 
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 from tests.vision import flange_campaign, stud_campaign
+from tests.vision.files import campaign as files_campaign
 from tests.vision.fit import campaign as fits
 
 SEED = 20_000
@@ -32,3 +36,10 @@ def flanges(number: int) -> tuple[str, str]:
         f"{outcome.clocking_deg:.2f} deg of clocking, {outcome.tilt_deg:.2f} deg of tilt off" if outcome.wrong else ""
     )
     return outcome.code or "pose", wrong
+
+
+def files(number: int) -> tuple[str, str]:
+    """A file, fit or unfit, given to `cellctl measure`: the answer that it should get."""
+    with tempfile.TemporaryDirectory() as folder:
+        outcome = files_campaign.outcome(files_campaign.drawn(SEED, number), Path(folder))
+    return outcome.word, f"{outcome.what}: {outcome.fault}" if outcome.fault else ""

@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellctl.vision.geometry import inverse, transform
+from cellctl.vision.geometry import inverse, pose, transform
 from cellctl.vision.measure import measure_part
 from cellctl.vision.part import Part, PartMeasurement
+from cellctl.vision.pattern import nominal
+from tests.benchmarks.scenes import stressed
 from tests.vision.bound import centre_bound_mm
+from tests.vision.files.scenes import hole_part
 from tests.vision.parts import FLANGE, SHAFT
 from tests.vision.synthetic import View, pose_above, render, true_centres
 
@@ -121,3 +124,59 @@ def test_sizes_that_the_recipe_does_not_give_are_estimated() -> None:
     measured = measure_part(render(view, rng), bare)
     assert measured.found == 7
     assert np.abs(centre_errors(view, measured)[:, :2]).max() < 0.3
+
+
+@pytest.mark.parametrize("chamfered", [True, False], ids=["chamfered", "plain"])
+@pytest.mark.parametrize("seed", [0, 3, 6])
+def test_a_torn_hole_is_right_or_missing(seed: int, chamfered: bool) -> None:
+    """The edge of a patch without points passes for a piece of a rim, strays for a wall, but no hole is moved.
+
+    As a grid, and as a list from elsewhere.
+    """
+    rng = np.random.default_rng([seed, 45])
+    part = hole_part(rng, "unequal")
+    if not chamfered:
+        part = replace(part, chamfer_diameter_mm=None, chamfer_angle_deg=None)
+    assert part.diameter_mm is not None and part.face_outer_diameter_mm is not None
+    view = view_of(part, rng, int(rng.integers(400, 800)), field_mm=1.15 * part.face_outer_diameter_mm, sigma_mm=0.05,
+                   correlation_px=3.0, outliers=0.06, ripple_mm=0.02)  # fmt: skip
+    cloud = render(view, rng)
+    local = transform(inverse(view.T_scanner_part), cloud.astype(np.float64))
+    radius = 0.5 * (part.chamfer_diameter_mm or part.diameter_mm[0])
+    torn = rng.permutation(part.count)[: part.count // 3]
+    for centre in true_centres(view)[torn]:
+        about, offset = rng.uniform(-np.pi, np.pi), rng.uniform(-0.3, 0.7) * radius
+        u, v = (local[..., axis] - centre[axis] for axis in (0, 1))
+        cloud[(np.hypot(u, v) < 2.5 * radius) & (u * np.cos(about) + v * np.sin(about) > offset)] = np.nan
+    _right_or_missing(cloud, part, view.T_scanner_part, true_centres(view), torn)
+    listed, aside = rng.permutation(cloud[np.isfinite(cloud[..., 0])]), pose(np.eye(3), np.array([7.0, 0.0, 0.0]))
+    T = aside @ view.T_scanner_part
+    _right_or_missing(transform(aside, listed).astype(np.float32), part, T, true_centres(view), torn)
+
+
+@pytest.mark.parametrize("seed", [52, 75])
+def test_everything_at_once_moves_no_hole(seed: int) -> None:
+    scene = stressed(seed)
+    torn = np.flatnonzero(~scene.seen)
+    centres = np.column_stack([nominal(scene.part), np.zeros(scene.part.count)])
+    _right_or_missing(scene.cloud, scene.part, scene.truth, centres, torn)
+    aside = pose(np.eye(3), np.array([7.0, 0.0, 0.0]))
+    listed = transform(aside, scene.cloud[np.isfinite(scene.cloud[..., 0])]).astype(np.float32)
+    _right_or_missing(listed, scene.part, aside @ scene.truth, centres, torn)
+
+
+def _right_or_missing(cloud: np.ndarray, part: Part, T: np.ndarray, true: np.ndarray, torn: np.ndarray) -> None:
+    """Every hole but the torn ones is found, and what is found is where it is true (n, 3) within what it says."""
+    measured = measure_part(cloud, part)
+    found = set(torn.tolist())
+    for feature in measured.features:
+        if feature.center_mm is None or feature.covariance_mm2 is None:
+            assert feature.reason
+            continue
+        own = (T[:3, :3].T @ feature.covariance_mm2 @ T[:3, :3])[:2, :2]
+        misses = (transform(inverse(T), feature.center_mm) - true)[:, :2]  # numbers may be turned by the symmetry
+        nearest = int(np.argmin(np.hypot(*misses.T)))
+        off, sigmas = np.hypot(*misses[nearest]), np.sqrt(misses[nearest] @ np.linalg.solve(own, misses[nearest]))
+        assert off < 0.1 or sigmas < 5.0, (nearest, off, sigmas)
+        found.add(nearest)
+    assert len(found) == part.count
