@@ -18,7 +18,7 @@ from hal.bus.canopen import Node
 from hal.codec import cia402 as drive
 from hal.codec.cia301 import NO_VENDOR, PRODUCT, REVISION, RPDO1, RPDO2, SERIAL, VENDOR, NmtCommand
 from hal.codec.cia402 import Mode, State, Status, Step
-from hal.config import CanAxisEntry
+from hal.entries import CanAxisEntry
 from hal.errors import DeviceFault, DeviceRefused, DeviceTimeout, Interrupted, NotConnected, SafetyOpen
 from hal.interfaces import AxisLimits, AxisState, Identity, SafeState
 from hal.real.axis_settings import counts, expected, pdo_settings, settings

@@ -22,7 +22,7 @@ from hal.codec.cia301 import (
     pdo_cob,
     pdo_mapping,
 )
-from hal.config import CanAxisEntry
+from hal.entries import CanAxisEntry
 
 CONSUMER_FACTOR = 2
 """The drive stops when it misses the controller for so many of the heartbeat's periods."""

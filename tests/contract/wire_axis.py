@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from hal.bus.can import CanBus
 from hal.bus.hub import CanHub
-from hal.config import AxisEntry, CanAxisEntry
+from hal.entries import AxisEntry, CanAxisEntry
 from hal.fake.devices.build import AXIS_UNITS
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant

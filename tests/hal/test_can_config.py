@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from hal.config import CanAxisEntry, load_cell
+from hal.config import load_cell
+from hal.entries import CanAxisEntry
 from hal.errors import ConfigError
 from hal.real.axis_settings import motor_rpm, settings
 

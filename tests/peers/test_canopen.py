@@ -11,7 +11,7 @@ import pytest
 
 from hal.bus.can import CanBus
 from hal.bus.hub import CanHub
-from hal.config import CanAxisEntry
+from hal.entries import CanAxisEntry
 from hal.errors import DeviceRefused, Interrupted
 from hal.fake.faults import FaultBook
 from hal.real.axes import CanAxis

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from hal.codec.open_protocol_trace import Order
-from hal.config import OpenProtocolEntry
+from hal.entries import OpenProtocolEntry
 from hal.errors import DeviceError
 from hal.fake.devices.guns import install_joints
 from hal.fake.faults import Fault, FaultBook
