@@ -11,7 +11,8 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from hal.config import CellConfig, Devices
+from hal.config import CellConfig
+from hal.entries import Devices
 from hal.errors import DeviceError, DeviceTimeout, SafetyOpen
 from hal.guard.inloop import InLoopGuard
 from hal.interfaces import (

@@ -7,135 +7,18 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from hal.entries import CanAxisEntry, CanEntry, Devices, Section
 from hal.errors import ConfigError
-from hal.units import Bar, Fraction, Kilogram, Mm, NewtonPerMm, Seconds, Watt
+from hal.units import Bar, Fraction, Kilogram, Mm, NewtonPerMm, Seconds
 
 Level = Literal["ideal", "nominal", "hostile"]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class AxisEntry(_Section):
-    """One axis. Travel in its unit (mm or deg), speed per second; a motion has arrived within `in_position`."""
-
-    kind: Literal["fake"]
-    low: float
-    high: float
-    max_speed: float = Field(gt=0)
-    max_acceleration: float = Field(gt=0)
-    in_position: float = Field(default=0.02, gt=0)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> AxisEntry:
-        if self.low >= self.high:
-            raise ValueError(f"low {self.low} must lie below high {self.high}")
-        return self
-
-
-class ForceEntry(_Section):
-    """A streaming force sensor."""
-
-    kind: Literal["fake"]
-    rate_hz: float = Field(default=1000.0, gt=0)
-    range_n: float = Field(default=2000.0, gt=0)
-
-
-class ForceLineEntry(_Section):
-    """A force amplifier that streams lines over the serial port `path`; rate and range must be what it says itself.
-
-    `serial` is the amplifier's, checked where it is given. It answers within `reply_s`; a stream that brings nothing
-    for `silence_s` has ended.
-    """
-
-    kind: Literal["force_line"]
-    path: str
-    baud: int = Field(default=460_800, ge=9600)
-    rate_hz: float = Field(default=1000.0, gt=0)
-    range_n: float = Field(default=2000.0, gt=0)
-    serial: str = ""
-    reply_s: Seconds = Field(default=2.0, gt=0)
-    silence_s: Seconds = Field(default=2.0, gt=0)
-
-
-class FileDropEntry(_Section):
-    """A scanner whose software takes requests from, and leaves its clouds in, a folder of this cell's own."""
-
-    kind: Literal["file_drop"]
-    folder: Path
-    serial: str = ""
-    poll_s: Seconds = Field(default=0.02, gt=0)
-    reply_s: Seconds = Field(default=2.0, gt=0)
-    frame_s: Seconds = Field(default=10.0, gt=0)
-
-
-class HeaterEntry(_Section):
-    """The heater controller."""
-
-    kind: Literal["fake"]
-    max_power_w: Watt = Field(default=4000.0, gt=0)
-
-
-class PlainEntry(_Section):
-    """A device that needs no numbers of its own."""
-
-    kind: Literal["fake"]
-
-
-class OpenProtocolEntry(_Section):
-    """A tightening gun behind an Open Protocol controller.
-
-    `serial` is the controller's, checked where it is given. `start_input` and `running_relay` are the controller's
-    functions "remote start" and "tool running"; `estop_alarms` are the codes of its alarms that mean that the
-    hard-wired circuit took its power; `trace_order` is the byte order of its curves.
-    """
-
-    kind: Literal["open_protocol"]
-    host: str
-    port: int = Field(default=4545, ge=1, le=65535)
-    serial: str = ""
-    start_input: int = Field(default=7, ge=0, le=999)
-    running_relay: int = Field(default=26, ge=1, le=999)
-    estop_alarms: tuple[str, ...] = ()
-    trace_order: Literal["big", "little"] = "big"
-
-
-class Devices(_Section):
-    """`[devices.NAME]`: every device of the cell, by its name everywhere else."""
-
-    stage_x: AxisEntry
-    stage_y: AxisEntry
-    jack: AxisEntry
-    shaft_table: AxisEntry
-    gun_table: AxisEntry
-    gun_feed: AxisEntry
-    gun_a: Annotated[PlainEntry | OpenProtocolEntry, Field(discriminator="kind")]
-    gun_b: Annotated[PlainEntry | OpenProtocolEntry, Field(discriminator="kind")]
-    jack_force: Annotated[ForceEntry | ForceLineEntry, Field(discriminator="kind")]
-    gun_force_a: Annotated[ForceEntry | ForceLineEntry, Field(discriminator="kind")]
-    gun_force_b: Annotated[ForceEntry | ForceLineEntry, Field(discriminator="kind")]
-    spigot_tc_1: PlainEntry
-    spigot_tc_2: PlainEntry
-    pyrometer: PlainEntry
-    rotor_tc: PlainEntry
-    heater: HeaterEntry
-    chuck: PlainEntry
-    camera_park: PlainEntry
-    nut_feeder: PlainEntry
-    gap_probe_1: PlainEntry
-    gap_probe_2: PlainEntry
-    gap_probe_3: PlainEntry
-    safety: PlainEntry
-    part_station: PlainEntry
-    scanner: Annotated[PlainEntry | FileDropEntry, Field(discriminator="kind")]
-
-
-class Delays(_Section):
+class Delays(Section):
     """`[guard]`: the chain of delays from a force to a standing jack, and what the guard takes for a dead sensor.
 
     Samples older than `stale_ms` are stale; `frozen_samples` equal ones in a row are frozen (0: never).
@@ -153,7 +36,7 @@ class Delays(_Section):
     tare_n: float = Field(default=0.3, ge=0)
 
 
-class Envelope(_Section):
+class Envelope(Section):
     """`[envelope]`: heights and pressures by which the motion rules (hal.permits) judge.
 
     The camera may stand in a view while the jack is at or below `view_safe_mm`; stage and shaft table move, and the
@@ -166,19 +49,19 @@ class Envelope(_Section):
     chuck_pressure_low_bar: Bar = Field(default=4.0, ge=0)
 
 
-class CalibrationEntry(_Section):
+class CalibrationEntry(Section):
     """`[calibration]`: where the controller's belief lies, relative to the cell file."""
 
     file: Path
 
 
-class Auth(_Section):
+class Auth(Section):
     """`[auth]`: demo is accepted only on a loopback host with fake devices."""
 
     mode: Literal["demo"] = "demo"
 
 
-class Twin(_Section):
+class Twin(Section):
     """`[twin]`: the plant behind fake devices. Overrides replace one imperfection or property by name."""
 
     seed: int = Field(default=1, ge=0)
@@ -187,7 +70,7 @@ class Twin(_Section):
     overrides: dict[str, float] = Field(default_factory=dict)
 
 
-class CellSection(_Section):
+class CellSection(Section):
     """`[cell]`: the cell as a whole."""
 
     name: str
@@ -198,7 +81,7 @@ class CellSection(_Section):
     weight_tolerance: Fraction = Field(default=0.05, gt=0)
 
 
-class CellConfig(_Section):
+class CellConfig(Section):
     """One cell file. `path` is where it was read from, for files named relative to it."""
 
     cell: CellSection
@@ -208,7 +91,22 @@ class CellConfig(_Section):
     calibration: CalibrationEntry
     auth: Auth = Auth()
     twin: Twin = Twin()
+    can: CanEntry | None = None
     path: Path = Field(default=Path(), exclude=True)
+
+    @model_validator(mode="after")
+    def _nodes(self) -> Self:
+        axes = {
+            name: entry.node
+            for name in Devices.model_fields
+            if isinstance(entry := getattr(self.devices, name), CanAxisEntry)
+        }
+        if axes and self.can is None:
+            raise ValueError(f"{', '.join(axes)}: on CAN, but there is no [can]")
+        taken = [*axes.values(), self.can.node] if self.can else []
+        if len(set(taken)) < len(taken):
+            raise ValueError(f"CAN node numbers {sorted(taken)} must differ")
+        return self
 
     @property
     def calibration_path(self) -> Path:

@@ -11,7 +11,7 @@ import contextlib
 import math
 
 from hal.codec.force_line import IdentityTold, Sample
-from hal.config import ForceLineEntry
+from hal.entries import ForceLineEntry
 from hal.errors import DeviceError, DeviceFault, DeviceRefused, DeviceTimeout, ImplausibleReading, NotConnected
 from hal.interfaces import ForceBlock, Identity, SafeState
 from hal.real.force_link import AmplifierLink

@@ -30,7 +30,7 @@ from hal.codec import open_protocol_messages as m
 from hal.codec import open_protocol_trace as t
 from hal.codec.open_protocol import Message, OpenProtocolError
 from hal.codec.open_protocol_result import Result
-from hal.config import OpenProtocolEntry
+from hal.entries import OpenProtocolEntry
 from hal.errors import (
     CellError,
     DeviceError,

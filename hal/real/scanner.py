@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hal.bus.folder import Folder
 from hal.codec import scan_drop as drop
-from hal.config import FileDropEntry
+from hal.entries import FileDropEntry
 from hal.errors import DeviceFault, DeviceRefused, DeviceTimeout, ImplausibleReading, Interrupted, NotConnected
 from hal.interfaces import Frame, Identity, SafeState, View
 

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-from hal.config import ForceLineEntry
+from hal.entries import ForceLineEntry
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.fake.wire.behind import BehindWire

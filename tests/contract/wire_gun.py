@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import AsyncIterator
 
-from hal.config import OpenProtocolEntry
+from hal.entries import OpenProtocolEntry
 from hal.fake.devices.guns import install_joints
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-from hal.config import FileDropEntry
+from hal.entries import FileDropEntry
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.fake.wire.behind import BehindWire

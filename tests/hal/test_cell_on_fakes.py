@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from hal.cell import Cell, build_cell
 from hal.clock import run_virtual
-from hal.config import Devices, load_cell
+from hal.config import load_cell
+from hal.entries import Devices
 from hal.errors import CellError, DeviceRefused, SafetyOpen
 from hal.fake.devices.guns import install_joints
 from hal.fake.devices.heating import install_heat

@@ -107,7 +107,12 @@ class GunController:
 
     async def _handle(self, client: Client, message: Message) -> list[Message]:
         handler = self._handlers.get(message.mid)
-        return [m.refused(message.mid, UNKNOWN)] if handler is None else await handler(client, message)
+        if handler is None:
+            return [m.refused(message.mid, UNKNOWN)]
+        known = {m.START: self.wire.start_revision, m.RESULT_SUBSCRIBE: self.wire.result_revision}
+        if message.revision > known.get(message.mid, 1):
+            return [m.refused(message.mid, m.REVISION_UNSUPPORTED)]
+        return await handler(client, message)
 
     # ------------------------------------------------------------ requests
 
@@ -151,8 +156,6 @@ class GunController:
         return [message]
 
     async def _begin(self, client: Client, message: Message) -> list[Message]:
-        if message.revision > self.wire.start_revision:
-            return [m.refused(m.START, m.REVISION_UNSUPPORTED)]
         if any(other.started for other in self._server.clients if other is not client):
             return [m.refused(m.START, m.CLIENT_CONNECTED)]
         client.started = True
@@ -191,8 +194,6 @@ class GunController:
         return [m.numbered(m.ACCEPTED, message.mid, 4), present[message.mid]]
 
     async def _subscribe_results(self, client: Client, message: Message) -> list[Message]:
-        if message.revision > self.wire.result_revision:
-            return [m.refused(m.RESULT_SUBSCRIBE, m.REVISION_UNSUPPORTED)]
         client.subscribed.add(message.mid)
         client.result_revision = message.revision
         again = [result(self._untold[0].result, client.result_revision)] if self._untold else []
