@@ -207,6 +207,8 @@ class Drive:
         now = self._loop.time()
         deceleration = self.values[cia.QUICK_STOP_DECELERATION] / self._scale
         end_s = self._plant.stop(self._name, deceleration, now).end_s
+        if self.state is State.FAULT_REACTION:
+            end_s = max(end_s, self._motion.brake_closes_s)  # the brake holds before the torque goes
         self._at(max(end_s, now), self._stands)
 
     def _stands(self) -> None:
