@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.recipe import PartSpec, Recipe
-from hal.cell import Cell, build_cell
+from hal.cell import Behind, Cell, build_cell
 from hal.config import CellConfig
 from hal.errors import ConfigError
 from hal.fake.devices.guns import install_joints
@@ -44,7 +44,7 @@ def fake_cell(recipe: Recipe, config: CellConfig, jobs: Jobs, *, seed: int, faul
     async def picture(scene: SceneState, picture_seed: int) -> NDArray[np.float32]:
         return await jobs.run(render, scene, picture_seed, latency_s=0.0)
 
-    return FakeCell(build_cell(config, plant=plant, faults=book, render=picture), plant, book)
+    return FakeCell(build_cell(config, Behind(plant, book, picture)), plant, book)
 
 
 def geometry_of(recipe: Recipe) -> JointGeometry:

@@ -6,8 +6,10 @@ Unknown keys are refused; every fault is reported with its place.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, Self
+from types import MappingProxyType
+from typing import Any, Literal, Self, get_args
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -111,7 +113,42 @@ class CellConfig(Section):
     @property
     def calibration_path(self) -> Path:
         """The calibration file, resolved against the cell file's folder."""
-        return self.path.parent / self.calibration.file
+        return self.beside(self.calibration.file)
+
+    def beside(self, file: Path | str) -> Path:
+        """A path of the cell file, resolved against its folder."""
+        return self.path.parent / file
+
+    @property
+    def entries(self) -> Mapping[str, Any]:
+        """The entry of every device by its name, in the order of the cell file."""
+        return MappingProxyType({name: getattr(self.devices, name) for name in Devices.model_fields})
+
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """The kind of every device."""
+        return MappingProxyType({name: entry.kind for name, entry in self.entries.items()})
+
+    def on_fakes(self) -> CellConfig:
+        """The same cell with a fake for every device, with the numbers that the real one has."""
+        told = {
+            name: {key: value for key, value in entry.model_dump().items() if key in FAKE_FIELDS[name]}
+            for name, entry in self.entries.items()
+        }
+        fakes = {name: numbers | {"kind": "fake"} for name, numbers in told.items()}
+        return self.model_copy(update={"devices": Devices.model_validate(fakes)})
+
+
+def _fake_fields(name: str) -> frozenset[str]:
+    kinds = get_args(Devices.model_fields[name].annotation)
+    fake = next(kind for kind in kinds if get_args(kind.model_fields["kind"].annotation) == ("fake",))
+    return frozenset(fake.model_fields)
+
+
+FAKE_FIELDS: Mapping[str, frozenset[str]] = MappingProxyType(
+    {name: _fake_fields(name) for name in Devices.model_fields}
+)
+"""The keys that a fake of each device has in the cell file."""
 
 
 def load_cell(path: Path) -> CellConfig:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -10,6 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from hal.units import Fraction, Seconds, Watt
 
 BY_KIND = Field(discriminator="kind")
+AXIS_UNITS: Mapping[str, Literal["mm", "deg"]] = MappingProxyType(
+    {"stage_x": "mm", "stage_y": "mm", "jack": "mm", "shaft_table": "deg", "gun_table": "deg", "gun_feed": "mm"}
+)
+"""The axes of a cell and what they are measured in."""
 
 
 class Section(BaseModel):

@@ -83,7 +83,7 @@ class CanBus:
     def __init__(self, options: Mapping[str, Any], *, node: int = 127, name: str = "can") -> None:
         self.name = name
         self._options = dict(options)
-        self._node = node
+        self.node = node
         self._adapter: can.BusABC | None = None
         self._monitor: asyncio.Task[None] | None = None
         self._users = 0
@@ -215,7 +215,7 @@ class CanBus:
     def beat(self) -> None:
         """The controller's heartbeat; without an adapter nothing is sent, and the drives act on that."""
         with contextlib.suppress(NotConnected):
-            self.send(heartbeat(self._node))
+            self.send(heartbeat(self.node))
 
     def subscribe(self, can_id: int, listener: Listener) -> Callable[[], None]:
         """Hand frames with `can_id` to `listener`; returns what ends that."""

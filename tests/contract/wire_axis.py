@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 from hal.bus.can import CanBus
 from hal.bus.hub import CanHub
-from hal.entries import AxisEntry, CanAxisEntry
-from hal.fake.devices.build import AXIS_UNITS
+from hal.entries import AXIS_UNITS, AxisEntry, CanAxisEntry
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.fake.wire.can_node import CanNode
