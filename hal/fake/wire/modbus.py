@@ -44,8 +44,9 @@ class SimulatedModbus:
         self._units = UnitsByNumber(units, serial=framing == "rtu")
         self.server = ModbusServer(self._units, framing)
 
-    async def start(self) -> int:
-        """Serve on a free port of this machine, which is returned."""
+    async def start(self, port: int = 0) -> int:
+        """Serve on a port of this machine, 0 for a free one; it is returned."""
+        self.server.port = port or self.server.port
         await self.server.start()
         return self.server.port
 
