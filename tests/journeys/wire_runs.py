@@ -21,7 +21,7 @@ from tests.journeys.twin_runs import FINE_CAMERA, POINTS, ROOT, RememberedJobs
 
 CELL = ROOT / "deploy" / "cell.wire.toml"
 SPEED = 400.0
-CATCH_UP_S = 0.01
+CATCH_UP_S = 0.002
 """Loop time that one busy moment of the machine may cost: an exchange within its deadline stays so."""
 
 
