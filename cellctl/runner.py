@@ -102,14 +102,16 @@ def run_once(request: RunRequest) -> Outcome:
     Raises ConfigError for a recipe the twin cannot be built to.
     """
     started = time.perf_counter()
-    outcome = asyncio.run(_run_in_real_time(request)) if real_devices(request.config) else run_virtual(_run(request))
+    outcome = (
+        asyncio.run(_run_in_real_time(request)) if real_devices(request.config) else run_virtual(run_here(request))
+    )
     return dataclasses.replace(outcome, wall_time_s=time.perf_counter() - started)
 
 
 async def _run_in_real_time(request: RunRequest) -> Outcome:
     """Whatever takes long is done in worker processes: drives are not left without their heartbeat."""
     async with ProcessJobs(modules=WARM) as jobs:
-        return await _run(dataclasses.replace(request, jobs=jobs))
+        return await run_here(dataclasses.replace(request, jobs=jobs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +162,8 @@ def compose(request: RunRequest) -> Composed:
     return Composed(twin, controller, assembly, store, identities)
 
 
-async def _run(request: RunRequest) -> Outcome:
+async def run_here(request: RunRequest) -> Outcome:
+    """As `run_once`, on the loop that runs already; `wall_time_s` is for the caller to measure."""
     made = compose(request)
     controller, cell, run_id = made.controller, made.twin.cell, made.assembly.run_id
     try:
