@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, get_args
 
 from pydantic import Field, ValidationError, model_validator
 
-from hal.entries import CanAxisEntry, CanEntry, Devices, Section
+from hal.entries import CanAxisEntry, CanEntry, Devices, Section, without_kind
 from hal.errors import ConfigError
 from hal.units import Bar, Fraction, Kilogram, Mm, NewtonPerMm, Seconds
 
@@ -161,5 +161,5 @@ def load_cell(path: Path) -> CellConfig:
         return CellConfig.model_validate(data | {"path": path})
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join([path.name, *(str(part) for part in first["loc"])])
+        place = ".".join([path.name, *(str(part) for part in without_kind(first["loc"]))])
         raise ConfigError(first["msg"], place=place) from None
