@@ -101,8 +101,7 @@ class ModbusDevice:
 
     def _integer(self, image: Image, field: RegisterField[float]) -> int:
         """A field that counts or numbers."""
-        value = self._value(image, field)
-        return round(value)
+        return round(self._value(image, field))
 
     def _fault(self, reason: str) -> DeviceError:
         return DeviceFault(reason, device=self.name)
