@@ -48,9 +48,8 @@ class ModbusDevice:
         """What else must hold before the device counts as connected."""
 
     async def _who(self) -> Identity:
-        words = await self._line.read(
-            self._entry.unit, maps.IDENTITY.start, maps.IDENTITY.size, device=self.name
-        )  # the unit's own registers: whatever the device's base
+        # The unit's own registers, whatever the device's base.
+        words = await self._line.read(self._entry.unit, maps.IDENTITY.start, maps.IDENTITY.size, device=self.name)
         try:
             image = maps.IDENTITY.image(words)
             vendor, model, serial = image[maps.VENDOR], image[maps.MODEL], image[maps.SERIAL]
@@ -101,7 +100,8 @@ class ModbusDevice:
 
     def _integer(self, image: Image, field: RegisterField[float]) -> int:
         """A field that counts or numbers."""
-        return round(self._value(image, field))
+        value = self._value(image, field)
+        return round(value)
 
     def _fault(self, reason: str) -> DeviceError:
         return DeviceFault(reason, device=self.name)
