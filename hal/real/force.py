@@ -93,6 +93,9 @@ class SerialForceSensor:
         self._stream.gather(gathering)
         try:
             await self._until(gathering, link)
+        except asyncio.CancelledError:
+            self._stream.forget()  # it gathered for a reader that is gone: the next one is told of the present
+            raise
         finally:
             self._stream.leave()
         return self._stream.block(gathering)

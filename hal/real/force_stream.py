@@ -107,6 +107,11 @@ class Stream:
         """The reader waits no longer; what it has not taken is kept."""
         self._gathering = None
 
+    def forget(self) -> None:
+        """A reader gave up: more than what is kept for a late one shows as missing samples."""
+        if len(self._kept) > self._keep:
+            self._kept.clear()
+
     def fail(self, error: Exception) -> None:
         """Whoever waits hears of it."""
         if self._gathering is not None and not self._gathering.done.is_set():

@@ -48,9 +48,8 @@ class ModbusDevice:
         """What else must hold before the device counts as connected."""
 
     async def _who(self) -> Identity:
-        words = await self._line.read(
-            self._entry.unit, maps.IDENTITY.start, maps.IDENTITY.size, device=self.name
-        )  # the unit's own registers: whatever the device's base
+        # The unit's own registers, whatever the device's base.
+        words = await self._line.read(self._entry.unit, maps.IDENTITY.start, maps.IDENTITY.size, device=self.name)
         try:
             image = maps.IDENTITY.image(words)
             vendor, model, serial = image[maps.VENDOR], image[maps.MODEL], image[maps.SERIAL]

@@ -51,6 +51,18 @@ async def steps(sensor: SerialForceSensor, blocks: int, count: int = 3) -> list[
     return list(zip([len(block.samples_n) for block in read[1:]], missing, strict=True))
 
 
+def test_a_reader_that_left_leaves_nothing_old_to_the_next() -> None:
+    async def case(amplifier: ForceAmplifier, sensor: SerialForceSensor) -> None:
+        for _ in range(TIMES):
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(2.0):
+                    await sensor.block(1000)
+            asked_s = asyncio.get_running_loop().time()
+            assert (await sensor.block(1)).time_s > asked_s - LATE_S
+
+    on_wire(case)
+
+
 @pytest.mark.parametrize("kind", ["drop", "corrupt", "half"])
 def test_a_line_that_is_lost_or_broken_is_a_gap(kind: str) -> None:
     async def case(amplifier: ForceAmplifier, sensor: SerialForceSensor) -> None:
