@@ -147,6 +147,7 @@ def header_of(order: Order, bench: Bench) -> RunHeader:
         level=order.level,
         forced=order.forced,
         devices=bench.identities,
+        backends=bench.config.kinds,
     )
 
 

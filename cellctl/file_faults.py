@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from hal.config import without_kind
 from hal.errors import ConfigError
 
 M = TypeVar("M", bound=BaseModel)
@@ -40,8 +41,9 @@ def faults_of(error: ValidationError, model: type[BaseModel], source: str) -> li
     for detail in error.errors(include_url=False):
         context = detail.get("ctx", {})
         limits = [f"{sign} {context[key]}" for key, sign in SIGNS.items() if key in context]
-        place = [source, *(str(part) for part in detail["loc"] if not _branch(part))]
-        unit = unit_at(schema, detail["loc"])
+        where = tuple(part for part in without_kind(detail["loc"]) if not _branch(part))
+        place = [source, *map(str, where)]
+        unit = unit_at(schema, where)
         faults.append(ConfigError(detail["msg"], place=".".join(place), limit=", ".join(limits), unit=unit))
     # Where one branch of a union has faults further inside, what the other branch says of the whole is no help.
     places = [fault.place for fault in faults]

@@ -1,7 +1,8 @@
-"""One assembly in virtual time, without the API: the only way to run without the service.
+"""One assembly without the API: the only way to run without the service. Fakes run in virtual time, real devices in
+their own.
 
-The composition root that owns the plant: it builds twin, fakes, controller and record, and takes the truth out by its
-one door after the run has ended. Nothing that runs inside can reach it.
+The composition root that owns the plant behind fakes: it builds twin, cell, controller and record, and takes the truth
+out by its one door after the run has ended. Nothing that runs inside can reach it.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ from cellctl.records.store import RunStore
 from cellctl.records.summary import RunSummary
 from cellctl.safety_watch import watch_safety
 from cellctl.scan_gates import gates_of
-from cellctl.stamps import VirtualStamps
+from cellctl.service_rules import real_devices
+from cellctl.stamps import Stamps, VirtualStamps, WallStamps
 from cellctl.states import Command, State
-from cellctl.twin import FakeCell, fake_cell
-from cellctl.vision.worker import VisionWorker
+from cellctl.twin import StandingCell, standing_cell
+from cellctl.vision.worker import WARM, VisionWorker
 from hal.cell import Cell
 from hal.clock import run_virtual
 from hal.config import CellConfig, Level
@@ -37,7 +39,7 @@ from hal.errors import DeviceError
 from hal.fake.fault_file import Fault
 from hal.fake.truth import Truth, truth_of
 from hal.interfaces import Identity
-from hal.jobs import InlineJobs, Jobs
+from hal.jobs import InlineJobs, Jobs, ProcessJobs
 
 ENDED = (State.COMPLETE, State.HELD, State.STOPPED, State.ABORTED)
 
@@ -60,7 +62,8 @@ class RunRequest:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How the run ended, what it found out, and the truth beside it. `record` is None where none could be written."""
+    """How the run ended, what it found out, and the truth beside it, which nobody knows of real devices. `record` is
+    None where none could be written."""
 
     state: str
     verdict: str
@@ -68,7 +71,7 @@ class Outcome:
     seed: int
     wall_time_s: float
     summary: RunSummary | None
-    truth: Truth
+    truth: Truth | None
     record: Path | None
     overrides: Mapping[str, float] = field(default_factory=dict)
 
@@ -88,23 +91,34 @@ class Outcome:
             "insertion": summary.insertion if summary else None,
             "heat": summary.heat if summary else None,
             "joints": list(summary.joints) if summary else [],
-            "truth": self.truth.as_dict(),
+            "truth": self.truth.as_dict() if self.truth else None,
             "record": str(self.record) if self.record else None,
         }
 
 
 def run_once(request: RunRequest) -> Outcome:
-    """Run one assembly to its end under virtual time. Raises ConfigError for a recipe the twin cannot be built to."""
+    """Run one assembly to its end: under virtual time where every device is fake, in real time elsewhere.
+
+    Raises ConfigError for a recipe the twin cannot be built to.
+    """
     started = time.perf_counter()
-    outcome = run_virtual(_run(request))
+    outcome = (
+        asyncio.run(_run_in_real_time(request)) if real_devices(request.config) else run_virtual(run_here(request))
+    )
     return dataclasses.replace(outcome, wall_time_s=time.perf_counter() - started)
+
+
+async def _run_in_real_time(request: RunRequest) -> Outcome:
+    """Whatever takes long is done in worker processes: drives are not left without their heartbeat."""
+    async with ProcessJobs(modules=WARM) as jobs:
+        return await run_here(dataclasses.replace(request, jobs=jobs))
 
 
 @dataclass(frozen=True, slots=True)
 class Composed:
-    """One assembly on its own twin, ready to be connected and driven."""
+    """One assembly on its cell, ready to be connected and driven."""
 
-    twin: FakeCell
+    twin: StandingCell
     controller: Controller
     assembly: Assembly
     store: RunStore
@@ -117,8 +131,8 @@ class Composed:
 
 def compose(request: RunRequest) -> Composed:
     """Twin, controller, record and the assembly on them. Must be called inside the running loop. Raises ConfigError."""
-    twin = fake_cell(request.recipe, request.config, request.jobs, seed=request.seed, faults=request.faults)
-    stamps = VirtualStamps(identity(request))
+    twin = standing_cell(request.recipe, request.config, request.jobs, seed=request.seed, faults=request.faults)
+    stamps: Stamps = WallStamps() if real_devices(request.config) else VirtualStamps(identity(request))
     controller = Controller(twin.cell, EventLog(stamps.now), safe_deadline_s=request.config.cell.safe_deadline_s)
     calibration = load_calibration(request.config.calibration_path)
     store = RunStore(request.data, durable=False)
@@ -144,21 +158,19 @@ def compose(request: RunRequest) -> Composed:
         stamps=stamps,
         identities=identities,
     )
-    loop = asyncio.get_running_loop()
-    assembly = Assembly(
-        order, bench, on_phase=lambda name: twin.faults.enter_phase(name, loop.time()), replace_stored=True
-    )
+    assembly = Assembly(order, bench, on_phase=twin.enter_phase, replace_stored=True)
     return Composed(twin, controller, assembly, store, identities)
 
 
-async def _run(request: RunRequest) -> Outcome:
+async def run_here(request: RunRequest) -> Outcome:
+    """As `run_once`, on the loop that runs already; `wall_time_s` is for the caller to measure."""
     made = compose(request)
     controller, cell, run_id = made.controller, made.twin.cell, made.assembly.run_id
     try:
         await made.connect()
     except DeviceError as error:
         await cell.close()
-        return Outcome("Stopped", "held", (str(error),), request.seed, 0.0, None, truth_of(made.twin.plant), None)
+        return Outcome("Stopped", "held", (str(error),), request.seed, 0.0, None, _truth(made.twin), None)
     state = await _to_the_end(controller, cell, made.assembly)
     why = controller.snapshot().why
     await controller.shutdown()
@@ -171,9 +183,13 @@ async def _run(request: RunRequest) -> Outcome:
         seed=request.seed,
         wall_time_s=0.0,
         summary=summary,
-        truth=truth_of(made.twin.plant),
+        truth=_truth(made.twin),
         record=made.store.record_path(run_id),
     )
+
+
+def _truth(cell: StandingCell) -> Truth | None:
+    return truth_of(cell.behind.plant) if cell.behind is not None else None
 
 
 async def _to_the_end(controller: Controller, cell: Cell, assembly: Assembly) -> State:

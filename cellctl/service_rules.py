@@ -1,11 +1,14 @@
-"""What may be served how: a quickened clock and the demo's sign-in are for fakes on this machine only."""
+"""What may be served how: a quickened clock is for fakes, the demo's sign-in for this machine and devices that say,
+once connected, that they are simulated (`cellctl.workplace`)."""
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
 from dataclasses import dataclass
 from pathlib import Path
 
+from hal.clock import QuickenedLoop
 from hal.config import CellConfig
 from hal.errors import ConfigError
 
@@ -33,16 +36,19 @@ def refuse_unfit(settings: Settings, config: CellConfig) -> None:
         )
     if not 0.01 <= settings.speed <= 1000.0:
         raise ConfigError(f"{settings.speed:g} is out of range", place="--speed", limit="0.01 to 1000")
-    if config.auth.mode == "demo":
-        if real:
-            raise ConfigError(f"demo needs fake devices; these are not: {', '.join(real)}", place="auth.mode")
-        if not loopback(settings.host):
-            raise ConfigError(f"demo is for this machine only, {settings.host} is not", place="--host")
+    if config.auth.mode == "demo" and not loopback(settings.host):
+        raise ConfigError(f"demo is for this machine only, {settings.host} is not", place="--host")
 
 
 def real_devices(config: CellConfig) -> list[str]:
     """Names of the devices that are not fake."""
-    return [name for name in type(config.devices).model_fields if getattr(config.devices, name).kind != "fake"]
+    return [name for name, kind in config.kinds.items() if kind != "fake"]
+
+
+def clock(speed: float, config: CellConfig) -> asyncio.AbstractEventLoop:
+    """An event loop: of fakes at `speed`, and standing still while heavy jobs are in flight; of real devices the
+    machine's own, which never stands."""
+    return asyncio.SelectorEventLoop() if real_devices(config) else QuickenedLoop(speed)
 
 
 def loopback(host: str) -> bool:

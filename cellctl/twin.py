@@ -1,10 +1,11 @@
-"""The twin behind fake devices: a plant made from recipe and cell file, and the cell that stands on it.
+"""The cell of a cell file with the twin behind its fakes: a plant made from recipe and cell file.
 
 Used by the composition roots only.
 """
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.recipe import PartSpec, Recipe
-from hal.cell import Cell, build_cell
+from hal.cell import Behind, Cell, build_cell
 from hal.config import CellConfig
 from hal.errors import ConfigError
 from hal.fake.devices.guns import install_joints
@@ -24,6 +25,9 @@ from hal.fake.plant import Plant, TwinSettings
 from hal.fake.scene.render import SceneState, render
 from hal.jobs import Jobs
 
+RENDERING = ("hal.fake.scene.render",)
+"""What a worker process imports that computes clouds."""
+
 
 @dataclass(frozen=True, slots=True)
 class FakeCell:
@@ -34,17 +38,53 @@ class FakeCell:
     faults: FaultBook
 
 
+@dataclass(frozen=True, slots=True)
+class StandingCell:
+    """A cell, not connected. `behind` is what its fakes stand on, None where nothing is fake."""
+
+    cell: Cell
+    behind: Behind | None
+
+    def enter_phase(self, name: str) -> None:
+        """The run enters a phase: planted faults begin."""
+        if self.behind is not None:
+            self.behind.faults.enter_phase(name, asyncio.get_running_loop().time())
+
+    def carries(self, recipe: Recipe) -> bool:
+        """Whether the parts of `recipe` can come into this cell as it is: a twin is built for one joint."""
+        return self.behind is None or self.behind.plant.geometry == geometry_of(recipe)
+
+
+def standing_cell(
+    recipe: Recipe, config: CellConfig, jobs: Jobs, *, seed: int, faults: Iterable[Fault] = ()
+) -> StandingCell:
+    """The cell of `config`; its fakes, where it has any, on a twin for `recipe`. Raises ConfigError."""
+    if "fake" not in config.kinds.values():
+        if planted := sorted({fault.device for fault in faults}):
+            raise ConfigError(f"faults are planted in fakes only, not in {', '.join(planted)}", place="faults")
+        return StandingCell(build_cell(config), None)
+    twin = twin_of(recipe, config, jobs, seed=seed, faults=faults)
+    return StandingCell(build_cell(config, twin), twin)
+
+
 def fake_cell(recipe: Recipe, config: CellConfig, jobs: Jobs, *, seed: int, faults: Iterable[Fault] = ()) -> FakeCell:
-    """Plant, faults and cell. Clouds are rendered by `jobs`. Raises ConfigError."""
-    plant = Plant(geometry_of(recipe), TwinSettings(seed, config.twin.level, config.twin.overrides))
+    """Plant, faults, and a cell all of whose devices are fake. Clouds are rendered by `jobs`. Raises ConfigError."""
+    twin = twin_of(recipe, config, jobs, seed=seed, faults=faults)
+    return FakeCell(build_cell(config.on_fakes(), twin), twin.plant, twin.faults)
+
+
+def twin_of(
+    recipe: Recipe, config: CellConfig, jobs: Jobs, *, seed: int, faults: Iterable[Fault] = (), now: float = 0.0
+) -> Behind:
+    """A plant for `recipe` as `[twin]` says, from loop time `now` on. Clouds are rendered by `jobs`."""
+    plant = Plant(geometry_of(recipe), TwinSettings(seed, config.twin.level, config.twin.overrides), now=now)
     install_heat(plant)
     install_joints(plant, nuts_by_hand=recipe.tighten.nut_supply == "hand_started")
-    book = FaultBook(faults)
 
     async def picture(scene: SceneState, picture_seed: int) -> NDArray[np.float32]:
         return await jobs.run(render, scene, picture_seed, latency_s=0.0)
 
-    return FakeCell(build_cell(config, plant=plant, faults=book, render=picture), plant, book)
+    return Behind(plant, FaultBook(faults), picture)
 
 
 def geometry_of(recipe: Recipe) -> JointGeometry:

@@ -1,13 +1,12 @@
 """Cell, vision and records of the service, ready for orders: composition root below `cellctl.app`.
 
-With fake devices the bench carries the parts of one recipe at a time: an order for another joint sets it up anew. What
-belongs to the plant stays in here; controller, journal and API have no way to it.
+A twin carries the parts of one recipe at a time: where devices are fake, an order for another joint sets the bench up
+anew. What belongs to the plant stays in here; controller, journal and API have no way to it.
 """
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -27,11 +26,10 @@ from cellctl.scan_gates import gates_of
 from cellctl.session import Outcome, RunEnd, SafeReport, Session, Verdict
 from cellctl.stamps import Stamps
 from cellctl.time_left import time_left_s
-from cellctl.twin import FakeCell, fake_cell, geometry_of
+from cellctl.twin import RENDERING, StandingCell, standing_cell
 from cellctl.vision.worker import WARM, VisionWorker
 from hal.config import CellConfig
 from hal.errors import CellError, ConfigError
-from hal.fake.geometry import JointGeometry
 from hal.interfaces import Identity
 from hal.jobs import ProcessJobs
 
@@ -39,7 +37,6 @@ JOB_DEADLINE_S = 60.0
 DRY_RUN_DEADLINE_S = 300.0
 """Seconds of the wall."""
 DRY_RUN_POINTS = 300_000
-RENDERING = ("hal.fake.scene.render",)
 
 
 async def open_workplace(
@@ -83,7 +80,7 @@ class CellWorkplace:
         self._stamps = stamps
         self._jobs = jobs
         self._twin_jobs = twin_jobs
-        self._geometry, self._bench = self._built(first)
+        self._bench = self._built(first)
         self._identities: dict[str, Identity] = {}
         self._expected: dict[str, tuple[tuple[str, float], ...]] = {}
         self.failure = "the devices are not connected"
@@ -96,7 +93,7 @@ class CellWorkplace:
             except CellError as error:
                 self.failure = str(error)
             else:
-                self.failure = ""
+                self.failure = refused_sign_in(self._config.auth.mode, self._identities)
         return self.failure
 
     async def close(self) -> None:
@@ -128,8 +125,6 @@ class CellWorkplace:
         """A run of that order on a bench that is set up for its recipe. Raises CellError."""
         await self._set_up(recipe)
         wanted = order.wanted
-        loop = asyncio.get_running_loop()
-        faults = self._bench.faults
         assembly = Assembly(
             AssemblyOrder(order.run_id, wanted.job_order_id, recipe, wanted.rotor_serial, wanted.shaft_serial),
             Bench(
@@ -142,7 +137,7 @@ class CellWorkplace:
                 stamps=self._stamps,
                 identities=self._identities,
             ),
-            on_phase=lambda phase: faults.enter_phase(phase, loop.time()),
+            on_phase=self._bench.enter_phase,
         )
         return _Tried(assembly, lambda: self._dry_run(order, recipe))
 
@@ -163,17 +158,22 @@ class CellWorkplace:
             raise RunHeld("dry_run_refused", f"the dry run on the twin was {outcome.verdict}: {reasons}")
 
     async def _set_up(self, recipe: Recipe) -> None:
-        if geometry_of(recipe) == self._geometry:
+        if self._bench.carries(recipe):
             return
         await self._bench.cell.close()
-        self._geometry, self._bench = self._built(recipe)
+        self._bench = self._built(recipe)
         self.failure = "the devices are not connected"
         if reason := await self.connect():
             raise CellError(reason)
 
-    def _built(self, recipe: Recipe) -> tuple[JointGeometry, FakeCell]:
-        bench = fake_cell(recipe, self._config, self._jobs, seed=self._config.twin.seed)
-        return geometry_of(recipe), bench
+    def _built(self, recipe: Recipe) -> StandingCell:
+        return standing_cell(recipe, self._config, self._jobs, seed=self._config.twin.seed)
+
+
+def refused_sign_in(mode: str, identities: Mapping[str, Identity]) -> str:
+    """Why nobody may work with these devices under the sign-in of the cell file, or an empty string."""
+    metal = [name for name, identity in identities.items() if mode == "demo" and not identity.simulated]
+    return f"the demo's sign-in is for simulated devices; these are not: {', '.join(metal)}" if metal else ""
 
 
 class _Tried:
@@ -205,7 +205,7 @@ class _Tried:
 def run_on_twin(recipe: Recipe, config: CellConfig, seed: int) -> TwinOutcome:
     """A run in virtual time on an ideal twin that knows nothing of the cell's own plant. Blocking."""
     twin = config.twin.model_copy(update={"level": "ideal", "overrides": {}, "points": DRY_RUN_POINTS})
-    private = config.model_copy(update={"twin": twin})
+    private = config.on_fakes().model_copy(update={"twin": twin})
     with TemporaryDirectory(prefix="cellctl-dry-run-") as folder:
         outcome = run_once(RunRequest(recipe, private, seed, Path(folder), keep="none"))
     summary = outcome.summary

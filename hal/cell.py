@@ -11,8 +11,10 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from hal.config import CellConfig, Devices
-from hal.errors import DeviceError, DeviceTimeout, SafetyOpen
+from hal.config import CellConfig
+from hal.entries import CanAxisEntry, Devices
+from hal.errors import ConfigError, DeviceError, DeviceTimeout, SafetyOpen
+from hal.guard.heartbeat import Heartbeat
 from hal.guard.inloop import InLoopGuard
 from hal.interfaces import (
     Axis,
@@ -49,13 +51,15 @@ if TYPE_CHECKING:
     from hal.fake.faults import FaultBook
     from hal.fake.plant import Plant
 
-__all__ = ["Cell", "CellFailure", "SafeReport", "build_cell"]
+__all__ = ["Behind", "Cell", "CellFailure", "SafeReport", "build_cell"]
 
 T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
 EXCHANGE_DEADLINE_S = 5.0
 """Connecting, re-arming or closing one device may take so long."""
+BEATS = 4
+"""Heartbeats to the drives in the time after which they miss the controller: one may be lost, another late."""
 SAFETY_LOOK_S = 0.25
 """Between two looks at the safety inputs of a running cell."""
 
@@ -108,6 +112,7 @@ class Cell:
     scanner: Scanner
     guard: CellGuard
     latch: Latch
+    heartbeat: Heartbeat | None = None
 
     def devices(self) -> tuple[Device, ...]:
         """Every device, in the order of the cell file."""
@@ -118,12 +123,16 @@ class Cell:
 
         Raises CellFailure with every device that failed; the others stay connected, and connecting again is harmless.
         """
+        if self.heartbeat is not None:
+            self.heartbeat.start()
         return await _all("connect", self.devices(), lambda device: device.connect())
 
     async def close(self) -> None:
         """Close guard and devices. Never raises, leaves no task."""
         await self.guard.close()
         await asyncio.gather(*(_quietly(device.close()) for device in self.devices()))
+        if self.heartbeat is not None:
+            await self.heartbeat.close()
 
     async def make_safe(self, deadline_s: float, reason: str = "the cell was stopped") -> SafeReport:
         """Halt everything at once and read back whether it is safe, within `deadline_s`; motion then needs `rearm`.
@@ -162,14 +171,21 @@ class Cell:
             return safety_refusal(None)
 
 
-def build_cell(config: CellConfig, *, plant: Plant, faults: FaultBook, render: Render) -> Cell:
-    """The cell of `config`, not connected. Fakes stand on `plant` and fail as `faults` says; `render` computes clouds.
+@dataclass(frozen=True, slots=True)
+class Behind:
+    """What stands behind fakes: the plant, how they fail, and what computes the scanner's clouds."""
 
-    Nothing here starts a task or talks to a device.
+    plant: Plant
+    faults: FaultBook
+    render: Render
+
+
+def build_cell(config: CellConfig, behind: Behind | None = None) -> Cell:
+    """The cell of `config`, not connected; `behind` is needed where one of its devices is fake.
+
+    Nothing here starts a task or talks to a device. Raises ConfigError.
     """
-    from hal.fake.devices.build import fake_devices
-
-    bare = fake_devices(config, plant, faults, render)
+    bare, beat = _bare(config, behind)
     axes: dict[AxisName, Axis] = {name: bare[name] for name in AXES}
     latch, delays, envelope = Latch(), config.guard, config.envelope
     guard = InLoopGuard(
@@ -200,7 +216,34 @@ def build_cell(config: CellConfig, *, plant: Plant, faults: FaultBook, render: R
         "camera_park": PermittedCameraPark(bare["camera_park"], permits),
         "nut_feeder": PermittedNutFeeder(bare["nut_feeder"], permits),
     }
-    return Cell(guard=guard, latch=latch, **(bare | permitted))
+    heartbeat = Heartbeat(beat, lambda: guard.alive, _beat_s(config)) if beat is not None else None
+    return Cell(guard=guard, latch=latch, heartbeat=heartbeat, **(bare | permitted))
+
+
+def _bare(config: CellConfig, behind: Behind | None) -> tuple[dict[str, Any], Callable[[], None] | None]:
+    """Every device as its entry says, without any rules, and what sends the heartbeat to the drives."""
+    devices: dict[str, Any] = {}
+    beat: Callable[[], None] | None = None
+    fakes = [name for name, kind in config.kinds.items() if kind == "fake"]
+    if fakes:
+        if behind is None:
+            raise ConfigError(f"a fake needs a plant behind it: {', '.join(fakes)}", place="devices")
+        from hal.fake.devices.build import fake_devices
+
+        devices = fake_devices(config, behind.plant, behind.faults, behind.render, fakes)
+    if len(fakes) < len(config.kinds):
+        from hal.real.build import real_devices
+
+        real = real_devices(config)
+        devices |= real.devices
+        beat = real.can.beat if real.can is not None else None
+    return devices, beat
+
+
+def _beat_s(config: CellConfig) -> float:
+    """Between two heartbeats: a drive misses the controller after two of its own periods."""
+    periods_s = [entry.heartbeat_s for entry in config.entries.values() if isinstance(entry, CanAxisEntry)]
+    return 2.0 * min(periods_s, default=0.1) / BEATS
 
 
 async def _all(action: str, devices: Iterable[Device], do: Callable[[Device], Awaitable[T]]) -> dict[str, T]:

@@ -69,9 +69,10 @@ class _PacedSelector(selectors.DefaultSelector):
 
     CATCH_UP_S = 0.25
 
-    def __init__(self, speed: float) -> None:
+    def __init__(self, speed: float, catch_up_s: float | None = None) -> None:
         super().__init__()
         self.speed = speed
+        self._most = self.CATCH_UP_S * speed if catch_up_s is None else catch_up_s
         self.now = 0.0
         self.jobs = 0
         self._behind = 0.0
@@ -102,7 +103,7 @@ class _PacedSelector(selectors.DefaultSelector):
 
     def _look(self) -> None:
         now = time.monotonic()
-        self._behind = min(self._behind + (now - self._mark) * self.speed, self.CATCH_UP_S * self.speed)
+        self._behind = min(self._behind + (now - self._mark) * self.speed, self._most)
         self._mark = now
 
 
@@ -112,9 +113,11 @@ class QuickenedLoop(asyncio.SelectorEventLoop):
     For fakes only: between two waits of the loop no time passes, however long callbacks take.
     """
 
-    def __init__(self, speed: float) -> None:
+    def __init__(self, speed: float, catch_up_s: float | None = None) -> None:
+        """`catch_up_s`: the most loop time by which the clock may be behind; by default a quarter of a second of the
+        wall. With little of it time hardly passes while sockets are busy."""
         self.speed = speed
-        self._paced = _PacedSelector(speed)
+        self._paced = _PacedSelector(speed, catch_up_s)
         super().__init__(self._paced)
         self._clock_resolution = 1e-9
         if not (speed > 0 and math.isfinite(speed)):

@@ -6,90 +6,21 @@ Unknown keys are refused; every fault is reported with its place.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from types import MappingProxyType
+from typing import Any, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from hal.entries import CanAxisEntry, CanEntry, Devices, Section
 from hal.errors import ConfigError
-from hal.units import Bar, Fraction, Kilogram, Mm, NewtonPerMm, Seconds, Watt
+from hal.units import Bar, Fraction, Kilogram, Mm, NewtonPerMm, Seconds
 
 Level = Literal["ideal", "nominal", "hostile"]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class AxisEntry(_Section):
-    """One axis. Travel in its unit (mm or deg), speed per second; a motion has arrived within `in_position`."""
-
-    kind: Literal["fake"]
-    low: float
-    high: float
-    max_speed: float = Field(gt=0)
-    max_acceleration: float = Field(gt=0)
-    in_position: float = Field(default=0.02, gt=0)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> AxisEntry:
-        if self.low >= self.high:
-            raise ValueError(f"low {self.low} must lie below high {self.high}")
-        return self
-
-
-class ForceEntry(_Section):
-    """A streaming force sensor."""
-
-    kind: Literal["fake"]
-    rate_hz: float = Field(default=1000.0, gt=0)
-    range_n: float = Field(default=2000.0, gt=0)
-
-
-class HeaterEntry(_Section):
-    """The heater controller."""
-
-    kind: Literal["fake"]
-    max_power_w: Watt = Field(default=4000.0, gt=0)
-
-
-class PlainEntry(_Section):
-    """A device that needs no numbers of its own."""
-
-    kind: Literal["fake"]
-
-
-class Devices(_Section):
-    """`[devices.NAME]`: every device of the cell, by its name everywhere else."""
-
-    stage_x: AxisEntry
-    stage_y: AxisEntry
-    jack: AxisEntry
-    shaft_table: AxisEntry
-    gun_table: AxisEntry
-    gun_feed: AxisEntry
-    gun_a: PlainEntry
-    gun_b: PlainEntry
-    jack_force: ForceEntry
-    gun_force_a: ForceEntry
-    gun_force_b: ForceEntry
-    spigot_tc_1: PlainEntry
-    spigot_tc_2: PlainEntry
-    pyrometer: PlainEntry
-    rotor_tc: PlainEntry
-    heater: HeaterEntry
-    chuck: PlainEntry
-    camera_park: PlainEntry
-    nut_feeder: PlainEntry
-    gap_probe_1: PlainEntry
-    gap_probe_2: PlainEntry
-    gap_probe_3: PlainEntry
-    safety: PlainEntry
-    part_station: PlainEntry
-    scanner: PlainEntry
-
-
-class Delays(_Section):
+class Delays(Section):
     """`[guard]`: the chain of delays from a force to a standing jack, and what the guard takes for a dead sensor.
 
     Samples older than `stale_ms` are stale; `frozen_samples` equal ones in a row are frozen (0: never).
@@ -107,7 +38,7 @@ class Delays(_Section):
     tare_n: float = Field(default=0.3, ge=0)
 
 
-class Envelope(_Section):
+class Envelope(Section):
     """`[envelope]`: heights and pressures by which the motion rules (hal.permits) judge.
 
     The camera may stand in a view while the jack is at or below `view_safe_mm`; stage and shaft table move, and the
@@ -120,19 +51,19 @@ class Envelope(_Section):
     chuck_pressure_low_bar: Bar = Field(default=4.0, ge=0)
 
 
-class CalibrationEntry(_Section):
+class CalibrationEntry(Section):
     """`[calibration]`: where the controller's belief lies, relative to the cell file."""
 
     file: Path
 
 
-class Auth(_Section):
+class Auth(Section):
     """`[auth]`: demo is accepted only on a loopback host with fake devices."""
 
     mode: Literal["demo"] = "demo"
 
 
-class Twin(_Section):
+class Twin(Section):
     """`[twin]`: the plant behind fake devices. Overrides replace one imperfection or property by name."""
 
     seed: int = Field(default=1, ge=0)
@@ -141,7 +72,7 @@ class Twin(_Section):
     overrides: dict[str, float] = Field(default_factory=dict)
 
 
-class CellSection(_Section):
+class CellSection(Section):
     """`[cell]`: the cell as a whole."""
 
     name: str
@@ -152,7 +83,7 @@ class CellSection(_Section):
     weight_tolerance: Fraction = Field(default=0.05, gt=0)
 
 
-class CellConfig(_Section):
+class CellConfig(Section):
     """One cell file. `path` is where it was read from, for files named relative to it."""
 
     cell: CellSection
@@ -162,12 +93,67 @@ class CellConfig(_Section):
     calibration: CalibrationEntry
     auth: Auth = Auth()
     twin: Twin = Twin()
+    can: CanEntry | None = None
     path: Path = Field(default=Path(), exclude=True)
+
+    @model_validator(mode="after")
+    def _nodes(self) -> Self:
+        axes = {
+            name: entry.node
+            for name in Devices.model_fields
+            if isinstance(entry := getattr(self.devices, name), CanAxisEntry)
+        }
+        if axes and self.can is None:
+            raise ValueError(f"{', '.join(axes)}: on CAN, but there is no [can]")
+        taken = [*axes.values(), self.can.node] if self.can else []
+        if len(set(taken)) < len(taken):
+            raise ValueError(f"CAN node numbers {sorted(taken)} must differ")
+        return self
 
     @property
     def calibration_path(self) -> Path:
         """The calibration file, resolved against the cell file's folder."""
-        return self.path.parent / self.calibration.file
+        return self.beside(self.calibration.file)
+
+    def beside(self, file: Path | str) -> Path:
+        """A path of the cell file, resolved against its folder."""
+        return self.path.parent / file
+
+    @property
+    def entries(self) -> Mapping[str, Any]:
+        """The entry of every device by its name, in the order of the cell file."""
+        return MappingProxyType({name: getattr(self.devices, name) for name in Devices.model_fields})
+
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """The kind of every device."""
+        return MappingProxyType({name: entry.kind for name, entry in self.entries.items()})
+
+    def on_fakes(self) -> CellConfig:
+        """The same cell with a fake for every device, with the numbers that the real one has."""
+        told = {
+            name: {key: value for key, value in entry.model_dump().items() if key in FAKE_FIELDS[name]}
+            for name, entry in self.entries.items()
+        }
+        fakes = {name: numbers | {"kind": "fake"} for name, numbers in told.items()}
+        return self.model_copy(update={"devices": Devices.model_validate(fakes)})
+
+
+def _fake_fields(name: str) -> frozenset[str]:
+    kinds = get_args(Devices.model_fields[name].annotation)
+    fake = next(kind for kind in kinds if get_args(kind.model_fields["kind"].annotation) == ("fake",))
+    return frozenset(fake.model_fields)
+
+
+FAKE_FIELDS: Mapping[str, frozenset[str]] = MappingProxyType(
+    {name: _fake_fields(name) for name in Devices.model_fields}
+)
+"""The keys that a fake of each device has in the cell file."""
+
+
+def without_kind(loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
+    """The place of a fault in the cell file: the kind that an entry was read as is no key of it."""
+    return loc[:2] + loc[3:] if loc[:1] == ("devices",) and len(loc) > 2 else loc
 
 
 def load_cell(path: Path) -> CellConfig:
@@ -180,5 +166,5 @@ def load_cell(path: Path) -> CellConfig:
         return CellConfig.model_validate(data | {"path": path})
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join([path.name, *(str(part) for part in first["loc"])])
+        place = ".".join([path.name, *map(str, without_kind(first["loc"]))])
         raise ConfigError(first["msg"], place=place) from None

@@ -89,12 +89,14 @@ class ProcessJobs:
 
     async def run(self, func: Callable[..., T], *args: Any, latency_s: float) -> T:
         """See `Jobs.run`. A cancelled job is killed with its worker, so that it holds up no other."""
+        loop = asyncio.get_running_loop()
+        begun_s = loop.time()
         with standing_still() if self._stops_clock else nullcontext():
             async with self._turn:
                 if self._closed:
                     raise WorkerError("the workers are closed")
                 succeeded, value = await self._in_thread(self._exchange, (func, args))
-        await asyncio.sleep(latency_s)
+        await asyncio.sleep(max(begun_s + latency_s - loop.time(), 0.0))
         if not succeeded:
             raise value.rebuilt()
         return value  # type: ignore[no-any-return]  # what func returned

@@ -6,9 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from cellctl.service_rules import Settings, loopback, real_devices, refuse_unfit
+from cellctl.service_rules import Settings, clock, loopback, real_devices, refuse_unfit
+from cellctl.workplace import refused_sign_in
+from hal.clock import QuickenedLoop
 from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
+from hal.interfaces import Identity
 
 
 def settings(**changes: object) -> Settings:
@@ -31,12 +34,22 @@ def test_fakes_on_this_machine_may_be_quickened(fake: CellConfig) -> None:
     refuse_unfit(settings(host="::1"), fake)
 
 
-def test_one_real_device_keeps_the_clock_and_the_demo_away(fake: CellConfig) -> None:
+def test_one_real_device_keeps_the_clock_as_it_is(fake: CellConfig) -> None:
     config = with_a_real_gun(fake)
     with pytest.raises(ConfigError, match=r"--speed.*gun_a"):
         refuse_unfit(settings(speed=2.0), config)
-    with pytest.raises(ConfigError, match=r"auth\.mode.*gun_a"):
-        refuse_unfit(settings(), config)
+    refuse_unfit(settings(), config)
+    loops = [clock(1.0, fake), clock(1.0, config)]
+    for loop in loops:
+        loop.close()
+    assert [isinstance(loop, QuickenedLoop) for loop in loops] == [True, False]
+
+
+def test_the_demo_is_for_devices_that_say_that_they_are_simulated() -> None:
+    told = Identity("cellctl", "gun", "1", "1", simulated=True)
+    metal = Identity("Vendor", "gun", "1", "1", simulated=False)
+    assert refused_sign_in("demo", {"gun_a": told}) == ""
+    assert "gun_b" in refused_sign_in("demo", {"gun_a": told, "gun_b": metal})
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.4", "::", "cell.local", ""])

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cellctl.app import Service, serve
-from cellctl.service_rules import Settings, refuse_unfit
-from hal.clock import QuickenedLoop
+from cellctl.service_rules import Settings, clock, refuse_unfit
 from hal.config import load_cell
 from hal.errors import ConfigError
 
@@ -63,11 +62,12 @@ def run_service(settings: Settings, during: Callable[[Service], Awaitable[None]]
     """Serve on a clock of the asked speed. Gives the exit code."""
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     try:
-        refuse_unfit(settings, load_cell(settings.cell))
+        config = load_cell(settings.cell)
+        refuse_unfit(settings, config)
         # Slow to import, and not needed to say what is wrong with the settings.
         from cellctl.workplace import open_workplace
 
-        with asyncio.Runner(loop_factory=lambda: QuickenedLoop(settings.speed)) as runner:
+        with asyncio.Runner(loop_factory=lambda: clock(settings.speed, config)) as runner:
             runner.run(serve(settings, open_workplace, during=during))
     except ConfigError as error:
         print(f"cellctl: {error}", file=sys.stderr)

@@ -153,18 +153,19 @@ def _joint(joint: Value | None) -> str:
 
 
 def _devices(head: Value) -> str:
-    devices = head.get("devices") or {}
+    devices, backends = head.get("devices") or {}, head.get("backends") or {}
     if not devices:
         return ""
     rows = [
         (
             name,
             *(who.get(key) for key in ("vendor", "model", "serial", "firmware")),
+            backends.get(name, ""),
             "simulated" if who.get("simulated") else "",
         )
         for name, who in sorted(devices.items())
     ]
-    return "<h2>Devices</h2>" + table(("device", "vendor", "model", "serial", "firmware", ""), rows)
+    return "<h2>Devices</h2>" + table(("device", "vendor", "model", "serial", "firmware", "backend", ""), rows)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -44,7 +44,8 @@ class RunHeader:
     """What was ordered, of what, on what. Written as kind ``run`` before anything else.
 
     `recipe` is the whole recipe as data, so that the verdict can be computed again from the record alone. `forced`
-    names the physics checks that were skipped. `devices` maps each device to its identity.
+    names the physics checks that were skipped. `devices` maps each device to its identity,
+    `backends` to the kind in the cell file by which it was reached.
     """
 
     run_id: str
@@ -61,6 +62,7 @@ class RunHeader:
     level: str | None = None
     forced: tuple[str, ...] = ()
     devices: Mapping[str, object] = field(default_factory=dict)
+    backends: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

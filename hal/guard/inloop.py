@@ -87,6 +87,12 @@ class InLoopGuard:
         self._task: asyncio.Task[None] | None = None
         self._time_s = 0.0
 
+    @property
+    def alive(self) -> bool:
+        """Whether it does what it is there for. A guard whose reading broke off while it had to act does not."""
+        task = self._task
+        return task is None or not task.done() or task.cancelled() or task.exception() is None
+
     def state(self) -> GuardState:
         """What the guard knows now."""
         watch, trip = self._watch, self._trip
@@ -124,6 +130,8 @@ class InLoopGuard:
     async def rearm(self) -> None:
         """Clear the latch; motion may be asked for again."""
         await self._settle()
+        if self._task is not None and self._task.done():
+            self._task = None
         self._trip = None
         self._latch.open("guard")
         if self._armed:

@@ -42,3 +42,19 @@ def test_a_port_that_is_taken(tmp_path: Path, root: Path, capsys: pytest.Capture
 def test_the_demo_takes_the_same_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "--once", "--host", "10.0.0.1", "--data", str(tmp_path)]) == 2
     assert "--host" in capsys.readouterr().err
+
+
+def test_a_clock_of_real_devices_is_not_quickened(
+    tmp_path: Path, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = str(root / "deploy/cell.wire.toml")
+    assert main(["serve", "--cell", cell, "--port", "0", "--data", str(tmp_path), "--speed", "2"]) == 2
+    assert "--speed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("wrong", ["--cell", "--recipe"])
+def test_what_cannot_be_simulated_is_told(root: Path, capsys: pytest.CaptureFixture[str], wrong: str) -> None:
+    files = {"--cell": str(root / "deploy/cell.wire.toml"), "--recipe": str(root / "recipes/lpt_shaft_36.toml")}
+    given = files | {wrong: "nowhere.toml"}
+    assert main(["simulate", *(part for pair in given.items() for part in pair)]) == 2
+    assert "nowhere.toml" in capsys.readouterr().err

@@ -15,6 +15,7 @@ from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
 from hal.fake.levels import Level
 from hal.fake.plant import Plant, TwinSettings
+from tests.contract import wire_axis, wire_force, wire_gun, wire_modbus, wire_scanner
 from tests.contract.fakes import fake_device
 
 OPEN_FIT = {"fit_interference_mm": -0.2}
@@ -22,6 +23,8 @@ OPEN_FIT = {"fit_interference_mm": -0.2}
 COUNT = 12
 """Studs of the joint that the cases work on."""
 SPEED = 20.0
+CATCH_UP_S = 0.01
+"""Loop time that one busy moment of the machine may cost on the wire: an exchange within its deadline stays so."""
 
 
 @dataclass
@@ -90,12 +93,12 @@ class FakeBackend:
 
 
 class WireBackend:
-    """The real backend over its own protocol to a simulator with the plant behind it, `SPEED` times as fast."""
+    """The real backend over its own protocol to a simulator with the plant behind it, `speed` times as fast."""
 
-    name = "wire"
-
-    def __init__(self, installed: Installed) -> None:
+    def __init__(self, installed: Installed, name: str = "wire", speed: float = SPEED) -> None:
+        self.name = name
         self._installed = installed
+        self._speed = speed
 
     def bench(
         self, device: str, *faults: Fault, connect: bool = True, level: Level = "ideal"
@@ -103,7 +106,7 @@ class WireBackend:
         return on_bench(self._installed, device, faults, connect, level)
 
     def run(self, main: Coroutine[Any, Any, None]) -> None:
-        with asyncio.Runner(loop_factory=partial(QuickenedLoop, SPEED)) as runner:
+        with asyncio.Runner(loop_factory=partial(QuickenedLoop, self._speed, CATCH_UP_S)) as runner:
             runner.run(alone(main))
 
 
@@ -115,5 +118,22 @@ async def alone(main: Coroutine[Any, Any, None]) -> None:
 
 
 FAKE = FakeBackend()
-BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType({})
+_MODBUS = WireBackend(wire_modbus.installed, speed=200.0)
+_MODBUS_RTU = WireBackend(wire_modbus.installed_rtu, "wire_rtu", speed=200.0)
+BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType(
+    {
+        "test_axis": (FAKE, WireBackend(wire_axis.installed)),
+        "test_camera_park": (FAKE, _MODBUS),
+        "test_chuck": (FAKE, _MODBUS),
+        "test_force_sensor": (FAKE, WireBackend(wire_force.installed, speed=5.0)),
+        "test_gap_probe": (FAKE, _MODBUS),
+        "test_gun": (FAKE, WireBackend(wire_gun.installed, speed=200.0)),
+        "test_heater": (FAKE, _MODBUS),
+        "test_nut_feeder": (FAKE, _MODBUS),
+        "test_part_station": (FAKE, _MODBUS),
+        "test_safety": (FAKE, _MODBUS),
+        "test_scanner": (FAKE, WireBackend(wire_scanner.installed)),
+        "test_thermometer": (FAKE, _MODBUS, _MODBUS_RTU),
+    }
+)
 """By test file, where there are others than the fakes; each has a module `wire_...` of its own beside this one."""

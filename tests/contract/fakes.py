@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.config import Devices, load_cell
+from hal.config import load_cell
+from hal.entries import Devices
 from hal.fake.devices.build import fake_devices
 from hal.fake.devices.guns import install_joints
 from hal.fake.devices.heating import install_heat

@@ -22,7 +22,7 @@ def test_it_swings_from_place_to_place_and_takes_its_time(backend: Backend) -> N
                 assert asyncio.get_running_loop().time() > before + 0.5
             before = asyncio.get_running_loop().time()
             await bench.device.go("parked")
-            assert asyncio.get_running_loop().time() == before, "there already"
+            assert asyncio.get_running_loop().time() < before + 0.5, "there already"
 
     backend.run(main())
 

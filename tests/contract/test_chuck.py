@@ -21,11 +21,11 @@ def test_it_releases_and_clamps_with_both_feedbacks(backend: Backend) -> None:
             closed = await bench.device.clamp()
             assert (closed.clamped_1, closed.clamped_2) == (True, True)
             assert closed.pressure_bar == pytest.approx(6.0)
-            assert closed.time_s == asyncio.get_running_loop().time()
+            assert closed.time_s == pytest.approx(asyncio.get_running_loop().time(), abs=0.1)
             assert bench.plant.chuck_clamped
             before = asyncio.get_running_loop().time()
             assert (await bench.device.clamp()).clamped_1
-            assert asyncio.get_running_loop().time() == before, "clamped already"
+            assert asyncio.get_running_loop().time() < before + 0.5, "clamped already"
 
     backend.run(main())
 

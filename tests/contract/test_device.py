@@ -13,6 +13,15 @@ from tests.contract.fakes import DEVICES
 
 EVERY = pytest.mark.parametrize("name", DEVICES)
 COMMANDS = ("halt", "safe", "rearm")
+START_S = 5.0
+"""Faults begin here: the link is up by then, on a wire too."""
+EXCHANGES = 3
+"""A halt has no more of them, its read-back included."""
+
+
+async def until(time_s: float) -> None:
+    """Sleep until the loop's time is `time_s`."""
+    await asyncio.sleep(time_s - asyncio.get_running_loop().time())
 
 
 @EVERY
@@ -47,11 +56,13 @@ def test_at_rest_it_halts_is_safe_and_rearms(backend: Backend, name: str) -> Non
 @pytest.mark.parametrize("command", COMMANDS)
 def test_gone_it_fails_at_once(backend: Backend, name: str, command: str) -> None:
     async def main() -> None:
-        async with backend.bench(name, Fault(name, "gone", at_s=1.0)) as bench:
-            await asyncio.sleep(1.0)
+        async with backend.bench(name, Fault(name, "gone", at_s=START_S)) as bench:
+            await until(START_S)
+            loop = asyncio.get_running_loop()
+            asked_s = loop.time()
             with pytest.raises(NotConnected, match=name):
                 await getattr(bench.device, command)()
-            assert asyncio.get_running_loop().time() == pytest.approx(1.0, abs=0.1)
+            assert loop.time() == pytest.approx(asked_s, abs=0.1)
 
     backend.run(main())
 
@@ -60,16 +71,17 @@ def test_gone_it_fails_at_once(backend: Backend, name: str, command: str) -> Non
 @pytest.mark.parametrize("command", COMMANDS)
 def test_hung_it_misses_its_own_deadline_and_can_be_given_up(backend: Backend, name: str, command: str) -> None:
     async def main() -> None:
-        async with backend.bench(name, Fault(name, "hung", at_s=1.0)) as bench:
-            await asyncio.sleep(1.0)
+        async with backend.bench(name, Fault(name, "hung", at_s=START_S)) as bench:
+            await until(START_S)
             loop = asyncio.get_running_loop()
+            asked_s = loop.time()
             with pytest.raises(TimeoutError):
                 async with asyncio.timeout(0.1):
                     await getattr(bench.device, command)()
-            assert loop.time() == pytest.approx(1.1)
+            assert loop.time() == pytest.approx(asked_s + 0.1, abs=0.1)
             with pytest.raises(DeviceTimeout, match=name):
                 await getattr(bench.device, command)()
-            assert loop.time() <= 1.1 + 2 * EXCHANGE_DEADLINE_S
+            assert loop.time() <= asked_s + 0.2 + 2 * EXCHANGE_DEADLINE_S
 
     backend.run(main())
 
@@ -77,10 +89,10 @@ def test_hung_it_misses_its_own_deadline_and_can_be_given_up(backend: Backend, n
 @EVERY
 def test_back_from_hanging_it_answers(backend: Backend, name: str) -> None:
     async def main() -> None:
-        async with backend.bench(name, Fault(name, "hung", at_s=1.0, duration_s=0.5)) as bench:
-            await asyncio.sleep(1.2)
+        async with backend.bench(name, Fault(name, "hung", at_s=START_S, duration_s=0.5)) as bench:
+            await until(START_S + 0.2)
             assert (await bench.device.safe()).safe
-            assert asyncio.get_running_loop().time() == pytest.approx(1.5, abs=0.1)
+            assert asyncio.get_running_loop().time() == pytest.approx(START_S + 0.5, abs=0.1)
 
     backend.run(main())
 
@@ -105,9 +117,12 @@ def test_it_does_not_connect_where_nothing_answers_and_always_closes(backend: Ba
 def test_slow_answers_within_the_deadline_are_still_answers(backend: Backend, name: str) -> None:
     async def main() -> None:
         late_s = 0.5 * EXCHANGE_DEADLINE_S
-        async with backend.bench(name, Fault(name, "late", value=late_s, at_s=1.0)) as bench:
-            await asyncio.sleep(1.0)
+        async with backend.bench(name, Fault(name, "late", value=late_s, at_s=START_S)) as bench:
+            await until(START_S)
+            loop = asyncio.get_running_loop()
+            asked_s = loop.time()
             await bench.device.halt()
-            assert asyncio.get_running_loop().time() == pytest.approx(1.0 + late_s, abs=0.1)
+            taken_s = loop.time() - asked_s
+            assert late_s - 0.01 <= taken_s <= EXCHANGES * late_s + 0.1, "each exchange is late once"
 
     backend.run(main())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, cast
 
 from hal.cell import Cell
-from hal.config import Devices
+from hal.entries import Devices
 from hal.guard.inloop import InLoopGuard
 from hal.interfaces import Axis
 from hal.interlocks import Permits

@@ -13,7 +13,7 @@ import pytest
 
 from hal.cell import CellFailure
 from hal.clock import run_virtual
-from hal.config import Devices
+from hal.entries import Devices
 from hal.errors import CellError, Interrupted, NotConnected, SafetyOpen
 from hal.interfaces import GuardLimits, SafeState
 from tests.hal.small import GOOD_SAFETY

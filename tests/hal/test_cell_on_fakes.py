@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hal.cell import Cell, build_cell
+from hal.cell import Behind, Cell, build_cell
 from hal.clock import run_virtual
-from hal.config import Devices, load_cell
+from hal.config import load_cell
+from hal.entries import Devices
 from hal.errors import CellError, DeviceRefused, SafetyOpen
 from hal.fake.devices.guns import install_joints
 from hal.fake.devices.heating import install_heat
@@ -39,7 +40,7 @@ async def built(*faults: Fault) -> tuple[Cell, Plant]:
     plant = Plant(JointGeometry(tuple(30.0 * i for i in range(12))), TwinSettings(5, "nominal"))
     install_heat(plant)
     install_joints(plant)
-    cell = build_cell(CONFIG, plant=plant, faults=FaultBook(faults), render=picture)
+    cell = build_cell(CONFIG, Behind(plant, FaultBook(faults), picture))
     await cell.connect()
     for name in ("gun_feed", "gun_table", "jack", "stage_x", "stage_y", "shaft_table"):
         await getattr(cell, name).home()

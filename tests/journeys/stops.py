@@ -15,7 +15,8 @@ from cellctl.runner import Composed, RunRequest, compose
 from cellctl.safety_watch import watch_safety
 from cellctl.states import Command, State
 from hal.clock import run_virtual
-from hal.config import CellConfig, Devices
+from hal.config import CellConfig
+from hal.entries import Devices
 from hal.fake.fault_file import Fault
 from hal.interfaces import Device
 from tests.journeys.twin_runs import RememberedJobs, small_recipe, twin_cell

@@ -40,7 +40,7 @@ def test_no_gun_moves_before_a_person_has_confirmed_and_a_nut_that_is_not_there_
         await asyncio.sleep(600.0)
         assert controller.state is State.SUSPENDED
         assert (await made.twin.cell.gun_feed.read()).position == 0.0
-        joints = joints_of(made.twin.plant)
+        joints = joints_of(made.twin.behind.plant)
         joints.socket_has_nut("a")  # by now the operator has been there
         joints.nuts.state[3] = NutState()  # and has forgotten one
         controller.request(Command.UNSUSPEND)

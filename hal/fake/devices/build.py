@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
+from collections.abc import Callable, Collection
 from typing import Any, Literal
 
 from hal.config import CellConfig
+from hal.entries import AXIS_UNITS, Devices
 from hal.fake.devices.axes import FakeAxis
 from hal.fake.devices.camera_park import FakeCameraPark
 from hal.fake.devices.chuck import FakeChuck
@@ -21,13 +21,16 @@ from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.interfaces import AxisLimits
 
-AXIS_UNITS: Mapping[str, Literal["mm", "deg"]] = MappingProxyType(
-    {"stage_x": "mm", "stage_y": "mm", "jack": "mm", "shaft_table": "deg", "gun_table": "deg", "gun_feed": "mm"}
-)
 
-
-def fake_devices(config: CellConfig, plant: Plant, faults: FaultBook, render: Render) -> dict[str, Any]:
-    """Every device of `config`, not connected. `render` computes the scanner's clouds."""
+def fake_devices(
+    config: CellConfig,
+    plant: Plant,
+    faults: FaultBook,
+    render: Render,
+    names: Collection[str] = tuple(Devices.model_fields),
+) -> dict[str, Any]:
+    """The devices of `config` that `names` says, not connected, whatever their kind there. `render` computes the
+    scanner's clouds."""
     entries = config.devices
 
     def axis(name: str, unit: Literal["mm", "deg"]) -> FakeAxis:
@@ -35,23 +38,29 @@ def fake_devices(config: CellConfig, plant: Plant, faults: FaultBook, render: Re
         limits = AxisLimits(entry.low, entry.high, entry.max_speed, entry.max_acceleration)
         return FakeAxis(name, unit, limits, plant, faults)
 
-    force, force_a, force_b = entries.jack_force, entries.gun_force_a, entries.gun_force_b
-    return {
-        **{name: axis(name, unit) for name, unit in AXIS_UNITS.items()},
-        **{name: FakeGun(name, plant, faults) for name in ("gun_a", "gun_b")},
-        "jack_force": FakeForceSensor("jack_force", plant, faults, rate_hz=force.rate_hz, range_n=force.range_n),
-        "gun_force_a": FakeGunForce("gun_force_a", plant, faults, force_a.rate_hz, force_a.range_n),
-        "gun_force_b": FakeGunForce("gun_force_b", plant, faults, force_b.rate_hz, force_b.range_n),
-        **{
-            name: FakeThermometer(name, plant, faults)
-            for name in ("spigot_tc_1", "spigot_tc_2", "pyrometer", "rotor_tc")
-        },
-        "heater": FakeHeater("heater", plant, faults, entries.heater.max_power_w),
-        "chuck": FakeChuck("chuck", plant, faults),
-        "camera_park": FakeCameraPark("camera_park", plant, faults),
-        "nut_feeder": FakeNutFeeder("nut_feeder", plant, faults),
-        **{name: FakeGapProbe(name, plant, faults) for name in ("gap_probe_1", "gap_probe_2", "gap_probe_3")},
-        "safety": FakeSafety("safety", plant, faults),
-        "part_station": FakePartStation("part_station", plant, faults),
-        "scanner": FakeScanner(plant, faults, render, points=config.twin.points),
+    def gun_force(name: str) -> FakeGunForce:
+        entry = getattr(entries, name)
+        return FakeGunForce(name, plant, faults, entry.rate_hz, entry.range_n)
+
+    def jack_force(name: str) -> FakeForceSensor:
+        entry = entries.jack_force
+        return FakeForceSensor(name, plant, faults, rate_hz=entry.rate_hz, range_n=entry.range_n)
+
+    makers: dict[str, Callable[[str], Any]] = {
+        **dict.fromkeys(AXIS_UNITS, lambda name: axis(name, AXIS_UNITS[name])),
+        **dict.fromkeys(("gun_a", "gun_b"), lambda name: FakeGun(name, plant, faults)),
+        "jack_force": jack_force,
+        **dict.fromkeys(("gun_force_a", "gun_force_b"), gun_force),
+        **dict.fromkeys(
+            ("spigot_tc_1", "spigot_tc_2", "pyrometer", "rotor_tc"), lambda name: FakeThermometer(name, plant, faults)
+        ),
+        "heater": lambda name: FakeHeater(name, plant, faults, entries.heater.max_power_w),
+        "chuck": lambda name: FakeChuck(name, plant, faults),
+        "camera_park": lambda name: FakeCameraPark(name, plant, faults),
+        "nut_feeder": lambda name: FakeNutFeeder(name, plant, faults),
+        **dict.fromkeys(("gap_probe_1", "gap_probe_2", "gap_probe_3"), lambda name: FakeGapProbe(name, plant, faults)),
+        "safety": lambda name: FakeSafety(name, plant, faults),
+        "part_station": lambda name: FakePartStation(name, plant, faults),
+        "scanner": lambda name: FakeScanner(plant, faults, render, points=config.twin.points, name=name),
     }
+    return {name: make(name) for name, make in makers.items() if name in names}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hal.config import Devices
+from hal.entries import Devices
 from hal.fake.faults import load_faults
 
 FILES = sorted((Path(__file__).parents[3] / "recipes" / "faults").glob("*.toml"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hal.clock import run_virtual
-from hal.config import Devices
+from hal.entries import Devices
 from hal.errors import ConfigError, DeviceTimeout, NotConnected
 from hal.fake.fault_kinds import DEVICE_KINDS
 from hal.fake.faults import Fault, FaultBook, parse_faults, wrong_places

@@ -1,0 +1,1 @@
+"""What carries a protocol: one owner of each connection, which connects, polls and recovers."""

@@ -1,0 +1,308 @@
+"""One CAN adapter: python-can behind asyncio. The only importer of python-can.
+
+One monitor task per bus owns connect, poll and recover. It holds no thread of the library: python-can's notifier dies
+silently with the adapter. Every identifier that is watched has a receive deadline; a bus on which nothing at all is
+heard any longer is opened anew, which is also how an adapter leaves bus-off. Nothing is sent twice and nothing that
+could not be sent is kept.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import select
+import socket
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import can
+
+from hal.clock import standing_still
+from hal.codec.cia301 import heartbeat
+from hal.codec.lawicel import CanFrame
+from hal.errors import NotConnected
+
+_log = logging.getLogger(__name__)
+
+SEND_TIMEOUT_S = 0.2
+"""An adapter whose buffer stays full for so long is not sending. pyserial also takes a write that is done, but later
+than this on a busy machine, for failed; with 0 it would turn in circles on a full buffer."""
+OPEN_S = 4.0
+"""An adapter must be open by then."""
+RETRY_S = 0.5
+"""Between two attempts to open it."""
+SILENCE_S = 2.5
+"""A bus with watched identifiers on which nothing is heard for so long is opened anew."""
+TICK_S = 0.05
+"""Between two looks at the receive deadlines."""
+BATCH = 1000
+"""Reads of the adapter in one go: an slcan line over a socket comes byte by byte."""
+BUS_OFF = 0x40
+"""Bit of a socketcan error frame's identifier."""
+_LIBRARY = (can.CanError, OSError)
+
+
+class Listener(Protocol):
+    """Who gets frames."""
+
+    def frame(self, frame: CanFrame) -> None: ...
+    def down(self, reason: str) -> None:
+        """The link is lost; frames may have been missed."""
+        ...
+
+
+class Link(Protocol):
+    """What a node needs of a bus: the adapter in this process, or a client of whoever owns it."""
+
+    async def open(self) -> None: ...
+    async def release(self) -> None: ...
+    def send(self, frame: CanFrame) -> None: ...
+    def subscribe(self, can_id: int, listener: Listener) -> Callable[[], None]: ...
+    def watch(self, can_id: int, within_s: float, lost: Callable[[], None]) -> Callable[[], None]: ...
+
+
+@dataclass(slots=True, eq=False)
+class _Watch:
+    """A receive deadline; `heard_s` is None until the identifier is heard first, and once it is lost."""
+
+    can_id: int
+    within_s: float
+    lost: Callable[[], None]
+    heard_s: float | None = None
+
+
+class CanBus:
+    """The adapter described by `options` (python-can's own: interface, channel, bitrate, ...), shared by its nodes.
+
+    `node` is the controller's number, whose heartbeat `beat` sends: the caller's own cycle calls it, so that drives
+    stop when that cycle hangs.
+    """
+
+    def __init__(self, options: Mapping[str, Any], *, node: int = 127, name: str = "can") -> None:
+        self.name = name
+        self._options = dict(options)
+        self.node = node
+        self._adapter: can.BusABC | None = None
+        self._monitor: asyncio.Task[None] | None = None
+        self._users = 0
+        self._turn = asyncio.Lock()
+        self._opened = asyncio.Event()
+        self._closing = asyncio.Event()
+        self._wake = asyncio.Event()
+        self._trouble = "not opened"
+        self._listeners: dict[int, list[Listener]] = {}
+        self._watches: list[_Watch] = []
+        self._heard_s = 0.0
+        self.corrupt = 0
+        """Lines or frames that could not be read."""
+
+    # ------------------------------------------------------------ life
+
+    async def open(self) -> None:
+        """One more user; returns once the adapter is open. Raises NotConnected with the library's reason."""
+        self._users += 1
+        try:
+            async with asyncio.timeout(OPEN_S):
+                async with self._turn:
+                    await self._ended()
+                    if self._monitor is None:
+                        self._monitor = asyncio.create_task(self._run(), name=f"{self.name} monitor")
+                await self._opened.wait()
+        except BaseException as error:
+            await self.release()
+            if isinstance(error, TimeoutError):
+                raise NotConnected(f"the CAN adapter cannot be opened: {self._trouble}", device=self.name) from None
+            raise
+
+    async def release(self) -> None:
+        """One user less; the last one closes the adapter. Never raises."""
+        self._users -= 1
+        async with self._turn:
+            if self._users == 0 and self._monitor is not None:
+                self._closing.set()
+                self._wake.set()
+                await self._ended()
+
+    async def _ended(self) -> None:
+        """Until a monitor that is to end has ended; one that is not goes on."""
+        if self._monitor is not None and self._closing.is_set():
+            await asyncio.wait({self._monitor})
+            self._monitor = None
+        self._closing.clear()
+
+    async def _run(self) -> None:
+        loop = asyncio.get_running_loop()
+        while not self._closing.is_set():
+            try:
+                with standing_still():
+                    adapter = await loop.run_in_executor(None, self._make)
+            except Exception as error:  # whatever the library raises: the adapter is not there
+                self._trouble = str(error)
+                await self._pause(RETRY_S)
+                continue
+            try:
+                await self._poll(adapter)
+            finally:
+                self._lose()
+                with standing_still():
+                    await loop.run_in_executor(None, _shut, adapter)
+            if not self._closing.is_set():
+                _log.warning("%s: %s", self.name, self._trouble)
+                await self._pause(RETRY_S)
+
+    def _make(self) -> can.BusABC:
+        adapter = can.Bus(ignore_config=True, **self._options)
+        if (peer := _peer(adapter)) is not None:
+            # Or a frame waits, up to 40 ms, for the acknowledgement of the one before.
+            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return adapter
+
+    async def _pause(self, seconds: float) -> None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await self._closing.wait()
+
+    async def _poll(self, adapter: can.BusABC) -> None:
+        """Stay until the adapter fails or the bus is closed."""
+        loop = asyncio.get_running_loop()
+        self._trouble, self._adapter, self._heard_s = "", adapter, loop.time()
+        self._wake.clear()
+        file = _descriptor(adapter)
+        if file is not None:
+            loop.add_reader(file, self._drain, adapter, file)
+        self._opened.set()
+        try:
+            while not self._closing.is_set() and not self._trouble:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(TICK_S if file is not None else 0.001):
+                        await self._wake.wait()
+                if file is None:
+                    self._drain(adapter, None)
+                self._look(loop.time())
+        finally:
+            if file is not None:
+                loop.remove_reader(file)
+
+    def _lose(self) -> None:
+        self._adapter = None
+        self._opened.clear()
+        for watch in self._watches:
+            watch.heard_s = None
+        reason = self._trouble or "closed"
+        for listener in {id(one): one for many in self._listeners.values() for one in many}.values():
+            listener.down(reason)
+
+    # ------------------------------------------------------------ frames
+
+    def send(self, frame: CanFrame) -> None:
+        """Hand one frame to the adapter. Raises NotConnected; the frame is then lost."""
+        if self._adapter is None:
+            raise NotConnected(f"no CAN adapter: {self._trouble or 'closed'}", device=self.name)
+        message = can.Message(
+            arbitration_id=frame.can_id,
+            data=frame.data,
+            is_extended_id=frame.extended,
+            is_remote_frame=frame.remote,
+        )
+        try:
+            self._adapter.send(message, timeout=SEND_TIMEOUT_S)
+        except _LIBRARY as error:
+            self._fail(f"send failed: {error}")
+            raise NotConnected(self._trouble, device=self.name) from error
+
+    def beat(self) -> None:
+        """The controller's heartbeat; without an adapter nothing is sent, and the drives act on that."""
+        with contextlib.suppress(NotConnected):
+            self.send(heartbeat(self.node))
+
+    def subscribe(self, can_id: int, listener: Listener) -> Callable[[], None]:
+        """Hand frames with `can_id` to `listener`; returns what ends that."""
+        self._listeners.setdefault(can_id, []).append(listener)
+        return lambda: self._listeners[can_id].remove(listener)
+
+    def watch(self, can_id: int, within_s: float, lost: Callable[[], None]) -> Callable[[], None]:
+        """Call `lost` once whenever `can_id`, heard before, is not heard within `within_s`; returns what ends that."""
+        watch = _Watch(can_id, within_s, lost)
+        self._watches.append(watch)
+        return lambda: self._watches.remove(watch)
+
+    def _drain(self, adapter: can.BusABC, file: int | None) -> None:
+        """Whatever the adapter holds, without waiting."""
+        for _ in range(BATCH):
+            try:
+                message = adapter.recv(timeout=0)
+            except (ValueError, IndexError):  # half a line, or garbage in one: slcan takes it for a frame
+                self.corrupt += 1
+                continue
+            except _LIBRARY as error:
+                self._fail(f"receive failed: {error}")
+                return
+            if message is not None:
+                self._take(message)
+            elif file is None or not select.select([file], [], [], 0)[0]:
+                return
+
+    def _take(self, message: can.Message) -> None:
+        if message.is_error_frame:
+            if message.arbitration_id & BUS_OFF:
+                self._fail("bus-off")
+            return
+        if len(message.data) != (0 if message.is_remote_frame else message.dlc):
+            self.corrupt += 1  # a line that was cut short
+            return
+        self._heard_s = asyncio.get_running_loop().time()
+        frame = CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_remote_frame)
+        for watch in self._watches:
+            if watch.can_id == frame.can_id:
+                watch.heard_s = self._heard_s
+        for listener in tuple(self._listeners.get(frame.can_id, ())):
+            listener.frame(frame)
+
+    def _look(self, now: float) -> None:
+        for watch in tuple(self._watches):
+            if watch.heard_s is not None and now - watch.heard_s > watch.within_s:
+                watch.heard_s = None
+                watch.lost()
+        if self._watches and now - self._heard_s > SILENCE_S:
+            self._fail(f"nothing heard for {SILENCE_S:g} s")
+
+    def _fail(self, reason: str) -> None:
+        self._trouble = self._trouble or reason
+        self._wake.set()
+
+
+def _descriptor(adapter: can.BusABC) -> int | None:
+    """What can be waited for; None where the adapter has to be polled."""
+    try:
+        file = adapter.fileno()
+    except (NotImplementedError, can.CanError):
+        return None
+    return file if file >= 0 else None
+
+
+def _peer(adapter: can.BusABC) -> socket.socket | None:
+    """The socket of an slcan adapter behind `socket://`, else None."""
+    found = getattr(getattr(adapter, "serialPortOrig", None), "_socket", None)
+    return found if isinstance(found, socket.socket) else None
+
+
+def _shut(adapter: can.BusABC) -> None:
+    """Close for good, whatever state the adapter is in.
+
+    slcan writes before it closes, so on a dead link it never closes its port; and pyserial's socket sleeps 0.3 s and
+    leaves the socket open where the peer is gone. So a socket is closed here.
+    """
+    port = getattr(adapter, "serialPortOrig", None)
+    peer = _peer(adapter)
+    if peer is not None and port is not None:
+        with contextlib.suppress(Exception):
+            port.write(b"C\r")
+        port.is_open = False
+        peer.close()
+    with contextlib.suppress(Exception):
+        adapter.shutdown()
+    if port is not None:
+        with contextlib.suppress(Exception):
+            port.close()

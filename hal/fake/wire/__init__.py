@@ -1,0 +1,1 @@
+"""Simulators: servers that speak a device's protocol, with the device's fake behind them."""

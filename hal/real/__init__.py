@@ -1,0 +1,1 @@
+"""Backends that speak the devices' own protocols."""

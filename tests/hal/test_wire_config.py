@@ -1,0 +1,31 @@
+"""The wire cell's file: every device by a protocol, and the same cell on fakes for a dry run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hal.cell import build_cell
+from hal.config import load_cell
+from hal.errors import ConfigError
+
+
+def test_a_cell_on_the_wire_has_no_fakes_and_the_same_cell_on_fakes_has_its_numbers(root: Path) -> None:
+    wire = load_cell(root / "deploy/cell.wire.toml")
+    assert "fake" not in wire.kinds.values()
+    fakes = wire.on_fakes()
+    assert set(fakes.kinds.values()) == {"fake"}
+    assert fakes.devices == load_cell(root / "deploy/cell.fake.toml").devices
+    assert fakes.on_fakes() == fakes
+
+
+def test_files_are_found_beside_the_cell_file(root: Path) -> None:
+    wire = load_cell(root / "deploy/cell.wire.toml")
+    assert wire.beside("x/y") == root / "deploy/x/y"
+    assert wire.beside("/dev/ttyS0") == Path("/dev/ttyS0")
+
+
+def test_fakes_without_a_plant_are_refused(root: Path) -> None:
+    with pytest.raises(ConfigError, match="plant"):
+        build_cell(load_cell(root / "deploy/cell.fake.toml"))
