@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.vision.geometry import Array
-from cellctl.vision.hole_fit import LEAST_COSINE, HoleFits, normal_equations, slant_power
+from cellctl.vision.hole_fit import HoleFits, normal_equations
+from cellctl.vision.hole_loudness import amplitude_mm, as_loud_as_it_is
 from cellctl.vision.hole_model import CHAMFER, CU, CV, FACE, SIZE, WALL, Samples, facing, label, residuals
 from cellctl.vision.plane import TUKEY, robust_sigma
 from cellctl.vision.shared_noise import SharedNoise, correlated
@@ -22,9 +23,6 @@ RING_LENGTHS = 1.5  # width of the ring of face that is used, in correlation len
 ROUNDS = 4
 LEAST_WHITE = 0.02
 ROUGHER = 0.9
-LEAST_SHOWN = 0.1  # of the noise's variance that a residual must still show to be asked for the noise
-LEAST_POINTS = 90
-NORMAL_MEDIAN = 0.6745
 MODEL_FLOOR = 0.06  # of the noise: what the model of shapes and noise leaves out stays in the centre
 
 
@@ -32,10 +30,10 @@ def refine(samples: Samples, fits: HoleFits, noise: SharedNoise, pixels: Array, 
     """Parameters and covariances of `fits` refined. `pixels` (M, 2) belong to the samples, `pitch_mm` is their size."""
     parameters = fits.parameters.copy()
     labels = label(samples, parameters, fits.sigma_mm)
-    fits = _as_loud_as_it_is(samples, fits, labels, noise, pixels)
+    fits = as_loud_as_it_is(samples, fits, labels, noise, pixels)
     rows = _near(samples, fits, labels, RING_LENGTHS * noise.length_px * pitch_mm)
     samples, labels, pixels = samples.take(rows), labels[rows], pixels[rows]
-    amplitude = _amplitude(fits, labels, facing(samples, parameters, labels))
+    amplitude = amplitude_mm(fits, labels, facing(samples, parameters, labels))
     white = SharedNoise(noise.length_px, min(noise.share, 1.0 - LEAST_WHITE))
     stencil = Stencil.of(pixels.astype(np.intp), samples.owner, white.at)
     for _ in range(ROUNDS):
@@ -59,52 +57,6 @@ def refine(samples: Samples, fits: HoleFits, noise: SharedNoise, pixels: Array, 
             own = influence[:, a:b].T
             covariances[k] = _sandwich(own, pixels[a:b], noise, inverse[k], fits.prior[k], largest)
     return replace(fits, parameters=parameters, covariances=covariances)
-
-
-def _amplitude(fits: HoleFits, labels: NDArray[np.int8], cosine: Array) -> Array:
-    """Noise (M,) in mm across the surface of each point, negative where the error that lifts the face is."""
-    side = np.where(labels == FACE, -1.0, 1.0)
-    return np.asarray(side * fits.sigma_mm[labels] * np.maximum(cosine, LEAST_COSINE) ** fits.slant_power)
-
-
-def _as_loud_as_it_is(
-    samples: Samples, fits: HoleFits, labels: NDArray[np.int8], noise: SharedNoise, pixels: Array
-) -> HoleFits:
-    """`fits` with the scales and the slant power of the noise before the fit took its part of it.
-
-    Nine parameters follow most of what the few patches of a coarse picture share, on one surface more than on another;
-    residuals alone would tell how loud face, chamfer and wall are against each other, on which the refinement rests,
-    wrong by a quarter.
-    """
-    value, design = residuals(samples, fits.parameters, labels)
-    cosine = facing(samples, fits.parameters, labels)
-    amplitude = _amplitude(fits, labels, cosine)
-    used = (labels >= 0) & (np.abs(value) < TUKEY * np.abs(amplitude))
-    shown = _shown(samples, fits, design * used / amplitude, noise, pixels)
-    asked = used & (shown > LEAST_SHOWN)
-    alone = np.abs(value) / np.sqrt(np.maximum(shown, LEAST_SHOWN))
-    power = slant_power(labels, alone, asked.astype(np.float64), cosine)
-    alone /= np.maximum(cosine, LEAST_COSINE) ** power
-    scales = [float(np.median(alone[asked & (labels == kind)])) / NORMAL_MEDIAN
-              if np.count_nonzero(asked & (labels == kind)) >= LEAST_POINTS else fits.sigma_mm[kind]
-              for kind in range(3)]  # fmt: skip
-    return replace(fits, sigma_mm=np.array(scales), slant_power=power)
-
-
-def _shown(samples: Samples, fits: HoleFits, design: Array, noise: SharedNoise, pixels: Array) -> Array:
-    """(M,) share of each point's variance that is left in the residuals of the first fit, which took noise for white.
-
-    The diagonal of (1 - H) R (1 - H)^T for the hat matrix H of `design` (9, M), rows over their noise, and the
-    correlation R of the noise.
-    """
-    shown = np.ones(design.shape[1])
-    for k, (a, b) in enumerate(zip(samples.starts[:-1], samples.starts[1:], strict=True)):
-        if b > a:
-            own = design[:, a:b]
-            hat = np.linalg.solve(own @ own.T + np.diag(fits.prior[k]), own)
-            seen = correlated(own.T, pixels[a:b], noise)
-            shown[a:b] += np.einsum("im,im->m", hat, (own @ seen) @ hat - 2.0 * seen.T)
-    return shown
 
 
 def _sandwich(
