@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from hal.config import without_kind
+from hal.entries import without_kind
 from hal.errors import ConfigError
 
 M = TypeVar("M", bound=BaseModel)
@@ -41,9 +41,9 @@ def faults_of(error: ValidationError, model: type[BaseModel], source: str) -> li
     for detail in error.errors(include_url=False):
         context = detail.get("ctx", {})
         limits = [f"{sign} {context[key]}" for key, sign in SIGNS.items() if key in context]
-        where = tuple(part for part in without_kind(detail["loc"]) if not _branch(part))
-        place = [source, *map(str, where)]
-        unit = unit_at(schema, where)
+        loc = without_kind(detail["loc"])
+        place = [source, *(str(part) for part in loc if not _branch(part))]
+        unit = unit_at(schema, loc)
         faults.append(ConfigError(detail["msg"], place=".".join(place), limit=", ".join(limits), unit=unit))
     # Where one branch of a union has faults further inside, what the other branch says of the whole is no help.
     places = [fault.place for fault in faults]
@@ -69,8 +69,8 @@ def _opened(nodes: list[Mapping[str, Any]], definitions: Mapping[str, Any]) -> l
         if "$ref" in node:
             target = definitions[str(node["$ref"]).rsplit("/", 1)[-1]]
             found += _opened([target], definitions)
-        elif "anyOf" in node:
-            found += _opened(list(node["anyOf"]), definitions)
+        elif alternatives := node.get("anyOf") or node.get("oneOf"):
+            found += _opened(list(alternatives), definitions)
         else:
             found.append(node)
     return found

@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, get_args
 
 from pydantic import Field, ValidationError, model_validator
 
-from hal.entries import CanAxisEntry, CanEntry, Devices, Section
+from hal.entries import CanAxisEntry, CanEntry, Devices, Section, without_kind
 from hal.errors import ConfigError
 from hal.units import Bar, Fraction, Kilogram, Mm, NewtonPerMm, Seconds
 
@@ -151,11 +151,6 @@ FAKE_FIELDS: Mapping[str, frozenset[str]] = MappingProxyType(
 """The keys that a fake of each device has in the cell file."""
 
 
-def without_kind(loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
-    """The place of a fault in the cell file: the kind that an entry was read as is no key of it."""
-    return loc[:2] + loc[3:] if loc[:1] == ("devices",) and len(loc) > 2 else loc
-
-
 def load_cell(path: Path) -> CellConfig:
     """Cell file from TOML. Raises ConfigError with place and reason."""
     try:
@@ -166,5 +161,5 @@ def load_cell(path: Path) -> CellConfig:
         return CellConfig.model_validate(data | {"path": path})
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join([path.name, *map(str, without_kind(first["loc"]))])
+        place = ".".join([path.name, *(str(part) for part in without_kind(first["loc"]))])
         raise ConfigError(first["msg"], place=place) from None

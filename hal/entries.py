@@ -18,6 +18,11 @@ AXIS_UNITS: Mapping[str, Literal["mm", "deg"]] = MappingProxyType(
 """The axes of a cell and what they are measured in."""
 
 
+def without_kind(loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
+    """A place in the cell file as it stands there: pydantic puts the kind of a device after its name."""
+    return loc[:2] + loc[3:] if loc[:1] == ("devices",) else loc
+
+
 class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

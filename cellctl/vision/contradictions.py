@@ -15,7 +15,7 @@ from cellctl.vision.pattern import PatternFit
 TOO_MANY, ROUGH_MM, BARE = 0.25, 0.1, 0.25
 """Share of the features that may speak against the part; how far the others may miss their places where one does;
 share of a feature's middle that is covered where it is not there."""
-SAMPLE = 100_000
+SAMPLE, LEAST_WALLS = 100_000, 3
 
 
 def check_hole_sizes(part: Part, radii_mm: Array, sigma_mm: float) -> None:
@@ -23,7 +23,7 @@ def check_hole_sizes(part: Part, radii_mm: Array, sigma_mm: float) -> None:
 
     A drilled hole is held to about ISO 286 H13: 0.15 mm and a hundredth of its diameter.
     """
-    if part.diameter_mm is None or not np.isfinite(radii_mm).any():
+    if part.diameter_mm is None or np.count_nonzero(np.isfinite(radii_mm)) < min(LEAST_WALLS, part.count):
         return
     drawn, seen = np.asarray(part.diameter_mm), np.isfinite(radii_mm)
     wrong = np.abs(2.0 * radii_mm - drawn) > 0.15 + 0.01 * drawn + 2.0 * sigma_mm

@@ -27,6 +27,7 @@ MIN_TORN_ARC = 0.25  # where the other holes tell the radius and the shape of th
 MIN_EDGE_POINTS = 12
 MAX_FILL = 0.25
 ROUGHER = 2.0  # residuals of a hole's model against those of the others that are still alike
+LEAST_WALLS, SAME_PLACE = 3, 3.0  # how many walls, and how few sigmas of a shift, let walls and outlines be mixed
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +112,7 @@ def measure_holes(
     chosen = [k for k in range(part.count) if by_rim[k].found]
     modelled = _by_model(around, chosen, by_rim, part, sight)
     if part.chamfer_diameter_mm is None:
-        return tuple(
-            modelled[k] if k in modelled and _better(modelled[k], hole, sight.spacing_mm) else hole
-            for k, hole in enumerate(by_rim)
-        )
+        return _together(by_rim, modelled, chosen, sight.spacing_mm)
     return _settled(by_rim, modelled, part, sight.spacing_mm)
 
 
@@ -253,6 +251,22 @@ def _better(model: Hole, outline: Hole, spacing_mm: float) -> bool:
     spread = float(np.sqrt(np.trace(outline.covariance[:2, :2])))
     surer = float(np.trace(model.covariance[:2, :2])) < float(np.trace(outline.covariance[:2, :2]))
     return surer and apart < 6.0 * spread + 0.5 * spacing_mm
+
+
+def _together(rims: list[Hole], modelled: dict[int, Hole], found: list[int], spacing_mm: float) -> tuple[Hole, ...]:
+    """Holes without a chamfer by their walls or by their outlines, not mixed where these put the part elsewhere.
+
+    An edge is worn on one side, alike at every hole: what walls and outlines say together would mix two places.
+    """
+    walls = {k: modelled[k] for k in found if k in modelled and _better(modelled[k], rims[k], spacing_mm)}
+    if len(walls) == len(found):
+        return tuple(walls.get(k, hole) for k, hole in enumerate(rims))
+    if len(walls) < LEAST_WALLS:
+        return tuple(rims)
+    shift = np.mean([hole.centre_mm - rims[k].centre_mm for k, hole in walls.items()], axis=0)
+    spread = np.mean([np.trace(rims[k].covariance[:2, :2]) for k in walls]) / len(walls)
+    agree = float(shift @ shift) < SAME_PLACE**2 * spread
+    return tuple(walls.get(k, hole) if agree else hole for k, hole in enumerate(rims))
 
 
 def _settled(rims: list[Hole], modelled: dict[int, Hole], part: Part, spacing_mm: float) -> tuple[Hole, ...]:

@@ -19,8 +19,11 @@ from cellctl.vision.fit.solve import EPS, Model, descend, determined
 
 POWERS = (2, 4, 8, 16)
 ROUNDS = 8
+AGAIN, BESIDE = 3, 16
+"""How often, and from how many places, bands beside the narrowest one are looked for."""
 HOPE = 1.5
-"""Bands wider than the best one by more cannot become narrower: the last power is nearly the largest distance."""
+"""Bands to which the powers led and that are wider than the best one by more cannot become narrower: the last power is
+nearly the largest distance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +49,39 @@ def narrowest(shape: Shape, local: Array, flat: float) -> Band:
 
     Raises FitError where the band could be moved or where it is no narrower than the `flat` one of infinite radius.
     """
-    best = None
     with np.errstate(all="ignore"):  # candidates far off may overflow and are dropped
-        for frame, start in _starts(shape, local):
-            points = local @ frame.T
-            if best is None or np.ptp(shape.model(points, start)[0]) < HOPE * best.width:
-                band = _programmes(shape.model, points, frame, start)
-                best = band if best is None or band.width < best.width else best
+        best = _best(shape.model, local, _starts(shape, local), None, HOPE)
+        for _ in range(AGAIN):
+            better = (
+                None if best is None else _best(shape.model, local, _beside(shape.model, local, best), best, np.inf)
+            )
+            if better is None or better is best:
+                break
+            best = better
     if best is None or best.stopped != "converged":
         raise FitError(f"the points do not determine a {shape.name}: no narrowest band was found")
     if not determined(best.jacobian) or best.width >= flat * (1.0 - 1e-6):
         raise FitError(f"the points do not determine a {shape.name}: a band moved or flattened is no wider")
     return best
+
+
+def _best(model: Model, local: Array, starts: list[tuple[Array, Array]], best: Band | None, hope: float) -> Band | None:
+    """The narrowest of `best` and the bands to which the starts (frame, parameters) lead that are less than `hope`
+    times as wide."""
+    for frame, start in starts:
+        points = local @ frame.T
+        if best is None or np.ptp(model(points, start)[0]) < hope * best.width:
+            band = _programmes(model, points, frame, start)
+            best = band if best is None or band.width < best.width * (1.0 - 1e-9) else best
+    return best
+
+
+def _beside(model: Model, local: Array, band: Band) -> list[tuple[Array, Array]]:
+    """Starts about a band, the narrowest first: other bands may lie so near that the powers pass them over."""
+    points = local @ band.frame.T
+    _, x = _about(model, points, band.frame, band.parameters)
+    spans = np.ptp(model(np.broadcast_to(points, (len(x), *points.shape)), x)[0], axis=1)
+    return [(band.frame, x[k]) for k in np.argsort(spans, kind="stable")[1 : BESIDE + 1]]
 
 
 def _starts(shape: Shape, local: Array) -> list[tuple[Array, Array]]:
