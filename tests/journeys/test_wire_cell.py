@@ -103,7 +103,7 @@ def test_nothing_is_simulated_on_another_machine(tmp_path: Path) -> None:
     _quick(main())
 
 
-@pytest.mark.nightly
+@pytest.mark.nightly  # 75 s of CPU
 def test_a_small_assembly_over_the_wire_is_accepted(tmp_path: Path) -> None:
     config = wire_cell(tmp_path, **BRISK)
     outcome, truth = assembled_over_the_wire(small_recipe(4), config, tmp_path / "data")

@@ -136,7 +136,10 @@ class Joints:
         """(n,) contact force at `times_s`, with the sockets as they are now and the feed as it will move."""
         self._follow_parts()
         feed = self._plant.motion["gun_feed"].positions(times_s)
-        force = gun_bench.force_n(self.bench, feed, self.contact_mm(gun, float(times_s[0])))
+        contact_mm = self.contact_mm(gun, float(times_s[0]))
+        if contact_mm < 0.0:  # the flange has not come up to the sockets yet: there is nothing before them
+            return np.zeros_like(feed)
+        force = gun_bench.force_n(self.bench, feed, contact_mm)
         if force.size and float(force[0]) > self.bench.crush_n:
             self._plant.damage(f"gun {gun} pressed with more than {self.bench.crush_n:.0f} N")
         return force
