@@ -9,7 +9,6 @@ import asyncio
 import gc
 import logging
 import os
-import signal
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
@@ -37,6 +36,7 @@ from cellctl.records.summary import RunEnded
 from cellctl.safety_watch import watch_safety
 from cellctl.service_rules import Settings, refuse_unfit
 from cellctl.session import SafeCell, Session
+from cellctl.signals import ending
 from cellctl.stamps import Stamps, WallStamps
 from cellctl.states import Command
 from hal.config import CellConfig, load_cell
@@ -115,7 +115,7 @@ async def serve(
         await stack.enter_async_context(_listening(server, sock))
         told = asyncio.Event()
         service = Service(f"http://{_host(settings.host)}:{server.port}", auth.token, services, settings.data, told.set)
-        with _signals(told.set):
+        with ending(told.set):
             await _until(told, during(service) if during is not None else None)
             # The cell is stopped while the API can still be watched; then open streams end, so that none of them
             # holds up the server.
@@ -281,24 +281,6 @@ async def _until(told: asyncio.Event, during: Awaitable[None] | None) -> None:
         for task in tasks:
             task.cancel()
         await asyncio.wait(tasks)
-
-
-class _signals:
-    """SIGTERM and SIGINT end the service in order while this is entered."""
-
-    def __init__(self, stop: Callable[[], None]) -> None:
-        self._stop = stop
-        self._loop = asyncio.get_running_loop()
-
-    def __enter__(self) -> None:
-        for number in (signal.SIGTERM, signal.SIGINT):
-            with suppress(NotImplementedError, RuntimeError, ValueError):
-                self._loop.add_signal_handler(number, self._stop)
-
-    def __exit__(self, *error: object) -> None:
-        for number in (signal.SIGTERM, signal.SIGINT):
-            with suppress(NotImplementedError, RuntimeError, ValueError):
-                self._loop.remove_signal_handler(number)
 
 
 def _host(host: str) -> str:

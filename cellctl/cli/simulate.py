@@ -5,15 +5,14 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
-import signal
 import sys
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellctl.recipe import Recipe, load_recipe
+from cellctl.signals import ending
 from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
 
@@ -66,7 +65,9 @@ async def simulate(config: CellConfig, recipe: Recipe, seed: int, faults: tuple[
             for where, names in addresses(config).items():
                 print(f"{where:40} {', '.join(names)}")
             print(f"twin of {recipe.recipe.id}, seed {seed}, level {config.twin.level}; Ctrl-C ends", flush=True)
-            await _told()
+            ended = asyncio.Event()
+            with ending(ended.set):
+                await ended.wait()
 
 
 def from_now(faults: tuple[Fault, ...], now: float) -> tuple[Fault, ...]:
@@ -88,11 +89,3 @@ def addresses(config: CellConfig) -> Mapping[str, list[str]]:
             continue
         found.setdefault(where, []).append(name)
     return found
-
-
-async def _told() -> None:
-    ended, loop = asyncio.Event(), asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        with suppress(NotImplementedError, RuntimeError, ValueError):
-            loop.add_signal_handler(number, ended.set)
-    await ended.wait()

@@ -52,6 +52,19 @@ def rotate(points: Array, angle_rad: float) -> Array:
     return np.asarray(points @ np.array([[c, s], [-s, c]]))
 
 
+def carried(points: Array, model: Array, onto: Array) -> Array:
+    """Points (k, 2) moved by the motion and scale that bring `model` (n, 2) nearest to `onto` (n, 2), least squares."""
+    at, here, there = (places[:, 0] + 1j * places[:, 1] for places in (points, model, onto))
+    arm = here - here.mean()
+    moved = there.mean() + np.vdot(arm, there) / np.vdot(arm, arm) * (at - here.mean())
+    return np.column_stack([moved.real, moved.imag])
+
+
+def robust_sigma(residuals: Array) -> float:
+    """Standard deviation of the core of `residuals` about zero, from the median of the absolute values."""
+    return 1.4826 * float(median(np.abs(residuals))) if len(residuals) else 0.0
+
+
 def median(values: Array, axis: int = -1) -> Array:
     """Upper median along one axis, by a single selection: of a few values several times faster than numpy's own."""
     middle = values.shape[axis] // 2

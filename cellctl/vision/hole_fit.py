@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.geometry import Array
+from cellctl.vision.geometry import Array, robust_sigma
 from cellctl.vision.hole_model import (
     CHAMFER,
     CONE,
@@ -27,7 +27,7 @@ from cellctl.vision.hole_model import (
     label,
     residuals,
 )
-from cellctl.vision.plane import TUKEY, robust_sigma
+from cellctl.vision.plane import TUKEY
 
 TILT_PRIOR_RAD = np.radians(0.02)  # machined holes stand square to their face
 SIZE_PRIOR_MM = 0.03  # holes drawn alike differ by what tools and tolerances allow

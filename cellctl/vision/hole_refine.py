@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.geometry import Array
+from cellctl.vision.geometry import Array, robust_sigma
 from cellctl.vision.hole_fit import HoleFits, normal_equations
 from cellctl.vision.hole_loudness import amplitude_mm, as_loud_as_it_is
 from cellctl.vision.hole_model import CHAMFER, CU, CV, FACE, SIZE, WALL, Samples, facing, label, residuals
-from cellctl.vision.plane import TUKEY, robust_sigma
+from cellctl.vision.plane import TUKEY
 from cellctl.vision.shared_noise import SharedNoise, correlated
 from cellctl.vision.stencil import Stencil
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cellctl.vision.columns import Column, Columns, inner, total
 from cellctl.vision.flatness import flatness_mm
-from cellctl.vision.geometry import Array, PlaneFrame, median, unit
+from cellctl.vision.geometry import Array, PlaneFrame, robust_sigma, unit
 from cellctl.vision.part import FaceFit, Refused
 
 TUKEY = 4.685  # 95 % efficient for white noise
@@ -36,11 +36,6 @@ class Plane:
     def residuals(self, points: Array) -> Array:
         """Signed distances of points (..., 3) in mm, positive on the side of the normal."""
         return np.asarray(np.einsum("...j,j->...", points, self.normal) - self.distance_mm)
-
-
-def robust_sigma(residuals: Array) -> float:
-    """Standard deviation of the core of `residuals` about zero, from the median of the absolute values."""
-    return 1.4826 * float(median(np.abs(residuals))) if len(residuals) else 0.0
 
 
 def find_planes(

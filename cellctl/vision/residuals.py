@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cellctl.vision.geometry import Array, Points, inverse, tangents, transform
+from cellctl.vision.geometry import Array, Points, inverse, robust_sigma, tangents, transform
 from cellctl.vision.holes import void_radii
 from cellctl.vision.part import FeatureFit, Part, PartMeasurement, ThreadFit
 from cellctl.vision.pattern import nominal
-from cellctl.vision.plane import RESOLUTION_MM, TUKEY, robust_sigma
+from cellctl.vision.plane import RESOLUTION_MM, TUKEY
 from cellctl.vision.thread_surface import FLANK
 from cellctl.vision.zones import band
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellctl.vision.geometry import Array
+from cellctl.vision.geometry import Array, carried
 from cellctl.vision.part import Part, Refused
 from cellctl.vision.pattern import nominal
 from cellctl.vision.stud_points import Near
@@ -64,15 +64,12 @@ def check_count(local: Array, near: Near, part: Part) -> None:
     """
     level = float(np.median(near.tips))
     on = np.flatnonzero(np.abs(local[2] - level) < HALF_LEVEL_MM)
-    z = local[0, on] + 1j * local[1, on]
-    expected = near.expected[:, 0] + 1j * near.expected[:, 1]
-    arm = (nominal(part) - nominal(part).mean(axis=0)) @ np.array([1.0, 1j])
-    turn = np.vdot(arm, expected) / np.vdot(arm, arm)
-    centre = expected.mean() - turn * (nominal(part).mean(axis=0) @ np.array([1.0, 1j]))
-    z = z[np.abs(np.abs(z - centre) - 0.5 * part.circle_diameter_mm) < near.radius_mm]
-    there = np.sort(np.angle(expected - centre))
+    (centre,) = carried(np.zeros((1, 2)), nominal(part), near.expected)
+    u, v = local[:2, on] - centre[:, None]
+    on_circle = np.abs(np.hypot(u, v) - 0.5 * part.circle_diameter_mm) < near.radius_mm
+    there = np.sort(np.arctan2(*(near.expected - centre).T[::-1]))
     there = np.concatenate([there[-1:] - 2.0 * np.pi, there, there[:1] + 2.0 * np.pi])
-    angle = np.sort(np.angle(z - centre))
+    angle = np.sort(np.arctan2(v, u)[on_circle])
     after = np.searchsorted(there, angle)
     width = 2.0 * near.radius_mm / (0.5 * part.circle_diameter_mm)
     beside = np.minimum(angle - there[after - 1], there[after] - angle) > 0.75 * width

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.geometry import median
+from cellctl.vision.geometry import median, robust_sigma
 from cellctl.vision.thread_surface import LEAD_IN, PITCH, RADIUS, ROOT, ROOT_RADIUS, TIP, Array, Depths
 
 LEAST_COSINE = 0.05
@@ -80,7 +80,7 @@ def scale_of(met: Depths, law: NoiseLaw, least_mm: float) -> NoiseLaw:
     unit = replace(law, scale_mm=1.0)
     ratio = (np.abs(met.ahead_mm) / unit.sigmas(met))[on_thread(met, law.deepest_mm)]
     near = ratio[ratio < max(6.0 * least_mm, 0.3)]
-    spread = 1.4826 * float(median(near)) if len(near) > 5 else 0.03
+    spread = robust_sigma(near) if len(near) > 5 else 0.03
     return replace(law, scale_mm=max(spread, least_mm, law.least_mm))
 
 
@@ -129,5 +129,5 @@ def _factor(met: Depths, sigmas: Array, surface: int) -> float:
     rows = np.flatnonzero((met.surface == surface) & (np.abs(met.ahead_mm) < 10.0 * sigmas))
     if len(rows) < LEAST_IN_CLASS:
         return 0.0
-    wide = 1.4826 * float(median(np.abs(met.ahead_mm[rows]) / sigmas[rows]))
+    wide = robust_sigma(met.ahead_mm[rows] / sigmas[rows])
     return wide if wide > MUCH_WIDER else 1.0

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellctl.vision.geometry import carried
 from cellctl.vision.thread_noise import MIN_SIGMA_MM, SURELY_FLANK, NoiseLaw, learn, misfit, on_thread, scale_of, tukey
 from cellctl.vision.thread_normal import Normal, Priors, lean_sigma
 from cellctl.vision.thread_surface import FLANK, PITCH, RADIUS, Array, Depths, Form, Rays, depths
@@ -159,13 +160,7 @@ def _other_places(start: Start, own: Array, poor: NDArray[np.bool_]) -> Array:
     """Places (k, n, 2) at which the poor studs may stand: about where they began, and where the others say they are."""
     places = [start.own[poor, :2]]
     if start.expected_mm is not None and np.count_nonzero(~poor) >= 3:
-        # z -> turn z + shift in the complex plane, least squares over the studs that fit
-        nominal = start.expected_mm[:, 0] + 1j * start.expected_mm[:, 1]
-        found = own[~poor, 0] + 1j * own[~poor, 1]
-        arm = nominal - nominal[~poor].mean()
-        turn = np.vdot(arm[~poor], found - found.mean()) / np.vdot(arm[~poor], arm[~poor])
-        moved = found.mean() + turn * arm
-        places.append(np.column_stack([moved.real, moved.imag])[poor])
+        places.append(carried(start.expected_mm[poor], start.expected_mm[~poor], own[~poor, :2]))
     return np.concatenate([np.stack(places) + step for step in STEPS_MM])
 
 

@@ -18,6 +18,8 @@ import re
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from hal.codec.errors import CodecError
+
 MODULO = 0x10000
 """Sample numbers count modulo this."""
 LONGEST = 200
@@ -33,13 +35,8 @@ _STATE = re.compile(rb"S (\d{1,9}) (streaming|idle)")
 _BEYOND = {b"+": math.inf, b"-": -math.inf, None: math.nan}
 
 
-class ForceLineError(ValueError):
-    """A line that is none. `place` says where, `reason` why."""
-
-    def __init__(self, place: str, reason: str) -> None:
-        super().__init__(f"{place}: {reason}")
-        self.place = place
-        self.reason = reason
+class ForceLineError(CodecError):
+    """A line that is none."""
 
 
 @dataclass(frozen=True, slots=True)

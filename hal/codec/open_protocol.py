@@ -14,18 +14,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from hal.codec.errors import CodecError
+
 HEADER = 20
 LONGEST = 9999
 BINARY_MIDS = frozenset({900})
 
 
-class OpenProtocolError(ValueError):
-    """Bytes that are no message, or a message that cannot be told. `place` says where, `reason` why."""
-
-    def __init__(self, place: str, reason: str) -> None:
-        super().__init__(f"{place}: {reason}")
-        self.place = place
-        self.reason = reason
+class OpenProtocolError(CodecError):
+    """Bytes that are no message, or a message that cannot be told."""
 
 
 @dataclass(frozen=True, slots=True)

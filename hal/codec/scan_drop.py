@@ -28,6 +28,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.codec.errors import CodecError
+
 Ask = Literal["identify", "state", "capture", "halt"]
 Failure = Literal["refused", "fault", "interrupted"]
 
@@ -40,13 +42,8 @@ _NPY = re.compile(
 REQUEST, ANSWER = ".request.json", ".answer.json"
 
 
-class ScanDropError(ValueError):
-    """A file that is not what it should be. `place` says where, `reason` why."""
-
-    def __init__(self, place: str, reason: str) -> None:
-        super().__init__(f"{place}: {reason}")
-        self.place = place
-        self.reason = reason
+class ScanDropError(CodecError):
+    """A file that is not what it should be."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,22 +9,12 @@ import pytest
 
 from hal.errors import DeviceRefused, Interrupted, NotConnected, SafetyOpen, UnknownOutcome
 from hal.fake.faults import Fault
-from hal.interfaces import Band, TighteningProgram
+from hal.interfaces import Band
 from tests.contract.backends import Backend, Bench
+from tests.contract.wire_gun import SNUG as PROGRAM
 
 NAMES = ("gun_a", "gun_b")
 EVERY = pytest.mark.parametrize("name", NAMES)
-PROGRAM = TighteningProgram(
-    stage="snug",
-    target_torque_nm=10.0,
-    torque_low_nm=9.0,
-    torque_high_nm=11.0,
-    angle_low_deg=0.0,
-    angle_high_deg=7200.0,
-    threshold_torque_nm=6.0,
-    speed_rpm=60.0,
-    timeout_s=30.0,
-)
 
 
 async def ready(bench: Bench) -> None:

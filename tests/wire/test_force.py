@@ -17,9 +17,9 @@ from hal.fake.faults import Fault, FaultBook
 from hal.fake.wire.force import ForceAmplifier
 from hal.interfaces import ForceBlock
 from hal.real.force import SerialForceSensor
-from tests.contract import test_device as device
 from tests.contract import wire_force
 from tests.contract.backends import CATCH_UP_S, WireBackend, alone, plant_of
+from tests.wire.as_device import CONNECTED, UNANSWERED, DeviceCase
 
 Case = Callable[[ForceAmplifier, SerialForceSensor], Coroutine[Any, Any, None]]
 TIMES = 20
@@ -284,26 +284,15 @@ def test_closing_ends_a_reader() -> None:
 
 WIRE = WireBackend(wire_force.installed, speed=SPEED)
 QUICK = WireBackend(wire_force.installed, speed=100.0)
-CASES: tuple[Callable[..., None], ...] = (
-    device.test_it_says_who_it_is,
-    device.test_at_rest_it_halts_is_safe_and_rearms,
-    device.test_back_from_hanging_it_answers,
-    device.test_slow_answers_within_the_deadline_are_still_answers,
-    *(partial(device.test_gone_it_fails_at_once, command=command) for command in device.COMMANDS),
-    *(
-        partial(device.test_hung_it_misses_its_own_deadline_and_can_be_given_up, command=command)
-        for command in device.COMMANDS
-    ),
-)
 
 
 @pytest.mark.parametrize("name", ["jack_force", "gun_force_a"])
-@pytest.mark.parametrize("case", CASES, ids=range(len(CASES)))
-def test_it_is_a_device_like_any_other(case: Callable[..., None], name: str) -> None:
+@pytest.mark.parametrize("case", CONNECTED)
+def test_it_is_a_device_like_any_other(case: DeviceCase, name: str) -> None:
     case(WIRE, name)
 
 
 @pytest.mark.parametrize("name", ["jack_force", "gun_force_a"])
-@pytest.mark.parametrize("kind", ["gone", "hung"])
-def test_it_does_not_connect_where_nothing_answers_and_always_closes(kind: str, name: str) -> None:
-    device.test_it_does_not_connect_where_nothing_answers_and_always_closes(QUICK, name, kind)
+@pytest.mark.parametrize("case", UNANSWERED)
+def test_it_does_not_connect_where_nothing_answers_and_always_closes(case: DeviceCase, name: str) -> None:
+    case(QUICK, name)

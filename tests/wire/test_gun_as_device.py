@@ -2,34 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-
 import pytest
 
-from tests.contract import test_device as device
 from tests.contract import wire_gun
 from tests.contract.backends import WireBackend
+from tests.wire.as_device import CONNECTED, UNANSWERED, DeviceCase
 
 WIRE = WireBackend(wire_gun.installed, speed=200.0)
-CASES: tuple[Callable[..., None], ...] = (
-    device.test_it_says_who_it_is,
-    device.test_at_rest_it_halts_is_safe_and_rearms,
-    device.test_back_from_hanging_it_answers,
-    device.test_slow_answers_within_the_deadline_are_still_answers,
-    *(partial(device.test_gone_it_fails_at_once, command=command) for command in device.COMMANDS),
-    *(
-        partial(device.test_hung_it_misses_its_own_deadline_and_can_be_given_up, command=command)
-        for command in device.COMMANDS
-    ),
-    *(
-        partial(device.test_it_does_not_connect_where_nothing_answers_and_always_closes, kind=kind)
-        for kind in ("gone", "hung")
-    ),
-)
 
 
 @pytest.mark.parametrize("name", ["gun_a", "gun_b"])
-@pytest.mark.parametrize("case", CASES, ids=range(len(CASES)))
-def test_it_is_a_device_like_any_other(case: Callable[..., None], name: str) -> None:
+@pytest.mark.parametrize("case", (*CONNECTED, *UNANSWERED))
+def test_it_is_a_device_like_any_other(case: DeviceCase, name: str) -> None:
     case(WIRE, name)

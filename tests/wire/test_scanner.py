@@ -17,9 +17,9 @@ from hal.errors import DeviceError, DeviceFault, DeviceRefused, DeviceTimeout, I
 from hal.fake.faults import Fault, FaultBook
 from hal.fake.wire.scanner import DropFolder
 from hal.real.scanner import FileDropScanner
-from tests.contract import test_device as device
 from tests.contract import wire_scanner
 from tests.contract.backends import CATCH_UP_S, WireBackend, alone, plant_of
+from tests.wire.as_device import CONNECTED, UNANSWERED, DeviceCase
 
 Case = Callable[[DropFolder, FileDropScanner], Coroutine[Any, Any, None]]
 TIMES = 20
@@ -190,23 +190,8 @@ def test_a_file_system_that_hangs_holds_up_nobody(tmp_path: Path) -> None:
 
 
 WIRE = WireBackend(wire_scanner.installed)
-CASES: tuple[Callable[..., None], ...] = (
-    device.test_it_says_who_it_is,
-    device.test_at_rest_it_halts_is_safe_and_rearms,
-    device.test_back_from_hanging_it_answers,
-    device.test_slow_answers_within_the_deadline_are_still_answers,
-    *(partial(device.test_gone_it_fails_at_once, command=command) for command in device.COMMANDS),
-    *(
-        partial(device.test_hung_it_misses_its_own_deadline_and_can_be_given_up, command=command)
-        for command in device.COMMANDS
-    ),
-    *(
-        partial(device.test_it_does_not_connect_where_nothing_answers_and_always_closes, kind=kind)
-        for kind in ("gone", "hung")
-    ),
-)
 
 
-@pytest.mark.parametrize("case", CASES, ids=range(len(CASES)))
-def test_it_is_a_device_like_any_other(case: Callable[..., None]) -> None:
+@pytest.mark.parametrize("case", (*CONNECTED, *UNANSWERED))
+def test_it_is_a_device_like_any_other(case: DeviceCase) -> None:
     case(WIRE, "scanner")

@@ -84,17 +84,26 @@ def anywhere(drawn: sets.Drawn, rng: np.random.Generator) -> minima.Guess:
     return point, None if drawn.kind == "sphere" else direction, radius, float(rng.uniform(-0.8, 0.8))
 
 
+def fitted(kind: str, drawn: sets.Drawn, name: str, tally: Tally) -> Element | None:
+    """The fit and its time for the tally, or None and the refusal."""
+    start = time.process_time()
+    try:
+        found: Element = getattr(fit, kind)(drawn.points)
+    except FitError as error:
+        tally.refused.append(f"{name}: {error}")
+        return None
+    tally.cpu_ms_per_fit += 1e3 * (time.process_time() - start)
+    return found
+
+
 def least_squares(kind: str, number: int, tally: Tally) -> None:
     """One set of points against its least minimum."""
     rng = np.random.default_rng([tally.seed, number])
     drawn = sets.draw(kind, rng)
-    name, start = f"{number} {drawn.family}", time.process_time()
-    try:
-        found = getattr(fit, kind)(drawn.points)
-    except FitError as error:
-        tally.refused.append(f"{name}: {error}")
+    name = f"{number} {drawn.family}"
+    found = fitted(kind, drawn, name, tally)
+    if found is None:
         return
-    tally.cpu_ms_per_fit += 1e3 * (time.process_time() - start)
     cost = minima.sum_of_squares(kind, drawn.points, minima.guess_of(found))
     least = minima.minimum(kind, drawn.points, drawn.truth)
     if not same(found, least):  # another minimum: the lowest of those in reach is the reference
@@ -125,13 +134,10 @@ def zones(kind: str, number: int, tally: Tally) -> None:
     """One set of points against its narrowest band."""
     rng = np.random.default_rng([tally.seed, number])
     drawn = sets.draw(kind.removesuffix("_zone"), rng)
-    name, start = f"{number} {drawn.family}", time.process_time()
-    try:
-        found = getattr(fit, kind)(drawn.points)
-    except FitError as error:
-        tally.refused.append(f"{name}: {error}")
+    name = f"{number} {drawn.family}"
+    found = fitted(kind, drawn, name, tally)
+    if found is None:
         return
-    tally.cpu_ms_per_fit += 1e3 * (time.process_time() - start)
     if kind == "plane_zone":
         width = bands.flatness(drawn.points)
     elif kind == "circle_zone":
