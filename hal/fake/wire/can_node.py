@@ -49,8 +49,8 @@ class CanNode:
         """Whether its heartbeat is held back."""
         self.abort_next: list[int] = []
         """Abort codes for the next SDO requests, whatever they ask."""
-        self.late_next: list[float] = []
-        """Seconds by which the next SDO replies are late, while heartbeats go on."""
+        self.late_next: dict[int, float] = {}
+        """Seconds by which the next SDO reply about an object (its index) is late, while heartbeats go on."""
         self._shown: bytes | None = None
         self._handles: dict[str, asyncio.TimerHandle] = {}
         self._queued: deque[Callable[[], None]] = deque()
@@ -153,8 +153,8 @@ class CanNode:
             answer = self._sdo.answer(request)
         if answer is not None:
             reply = CanFrame(cia.SDO_REPLY + self._number, answer)
-            if self.late_next:
-                self._queue(self.late_next.pop(0), lambda: self._out(reply))
+            if (late_s := self.late_next.pop(int.from_bytes(answer[1:3], "little"), None)) is not None:
+                self._queue(late_s, lambda: self._out(reply))
             else:
                 self._say(reply)
 
