@@ -17,7 +17,7 @@ from cellctl.vision.outline import edge_band_mm
 from cellctl.vision.part import Part, Refused
 from cellctl.vision.pattern import CLEAR_MARGIN, PatternPose, blind_to_sizes, find_patterns, nominal, placed, symmetry
 from cellctl.vision.plane import Plane, find_planes
-from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, stand_on, tip_levels
+from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, standing, tip_levels
 
 RANSAC_POINTS = 12_000
 MAX_NOISE_MM = 0.5
@@ -244,8 +244,8 @@ def _studs(local: Columns, on_plane: Array, part: Part, space: float) -> list[Vo
     most: list[Void] = []
     for level in tip_levels(height, part):
         tips = find_tips(uv, height, part, space, level)
-        if len(tips) > len(most) and stand_on(tips, on_plane, uv):
-            most = tips
+        if len(tips) > len(most):
+            most = max(most, standing(tips, on_plane, uv), key=len)
         if 2 * len(most) > part.count:
             break
     return most
