@@ -29,6 +29,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--faults", type=Path, help="fault file; phases are not known here, only seconds from the start"
     )
+    parser.add_argument("--truth", type=Path, metavar="DIR", help="write here how each pair of parts really stands")
     parser.set_defaults(run=run)
 
 
@@ -41,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         config, recipe = load_cell(args.cell), load_recipe(args.recipe)
         seed = config.twin.seed if args.seed is None else args.seed
         faults = load_faults(args.faults).faults if args.faults else ()
-        asyncio.run(simulate(config, recipe, seed, faults))
+        asyncio.run(simulate(config, recipe, seed, faults, args.truth))
     except (ConfigError, OSError) as error:
         print(f"cellctl: {error}", file=sys.stderr)
         return 2
@@ -50,18 +51,24 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-async def simulate(config: CellConfig, recipe: Recipe, seed: int, faults: tuple[Fault, ...]) -> None:
-    """Until Ctrl-C or SIGTERM. Raises ConfigError, OSError."""
+async def simulate(
+    config: CellConfig, recipe: Recipe, seed: int, faults: tuple[Fault, ...], truth: Path | None = None
+) -> None:
+    """Until Ctrl-C or SIGTERM. What is true of the parts is kept in folder `truth`. Raises ConfigError, OSError."""
     # Slow to import, and not needed to say what is wrong with the files.
     from cellctl.gun_programs import programs_of
-    from cellctl.twin import RENDERING, twin_of
+    from cellctl.truth_files import keeping_truth
+    from cellctl.twin import RENDERING, truth_limits, twin_of
     from hal.fake.wire.stand import standing
     from hal.jobs import ProcessJobs
 
     now = asyncio.get_running_loop().time()
     async with ProcessJobs(modules=RENDERING) as jobs:
         twin = twin_of(recipe, config, jobs, seed=seed, faults=from_now(faults, now), now=now)
-        async with standing(config, twin.plant, twin.faults, twin.render, programs_of(recipe.tighten)):
+        async with (
+            standing(config, twin.plant, twin.faults, twin.render, programs_of(recipe.tighten)),
+            keeping_truth(truth, twin.plant, truth_limits(recipe)),
+        ):
             for where, names in addresses(config).items():
                 print(f"{where:40} {', '.join(names)}")
             print(f"twin of {recipe.recipe.id}, seed {seed}, level {config.twin.level}; Ctrl-C ends", flush=True)
