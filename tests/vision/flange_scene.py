@@ -85,7 +85,7 @@ class Scan:
 
 
 def random_pose(rng: Rng, *, tilt_deg: float) -> Array:
-    """Part z towards the camera, tilted about any direction, any clocking, 0.55 to 0.95 m away, off the optical axis."""
+    """Part z towards the camera, tilted about any direction, any clocking, 0.55 to 0.95 m away, off the axis."""
     away = rng.uniform(0.0, 2.0 * np.pi)
     tilt, turn = np.radians(tilt_deg), rng.uniform(0.0, 2.0 * np.pi)
     place = np.array([rng.uniform(-150.0, 150.0), rng.uniform(-200.0, 200.0), rng.uniform(550.0, 950.0)])
