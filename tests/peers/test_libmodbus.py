@@ -10,7 +10,6 @@ import shlex
 import subprocess
 import tty
 from collections.abc import AsyncIterator, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
