@@ -5,12 +5,14 @@ A producer is foreign code that may hang or crash, so everything here blocks, an
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+T = TypeVar("T")
 SOCKET = "socket://"
 """What the address of a camera on a TCP connection begins with; anything else is the path of a GenTL producer."""
 
@@ -71,7 +73,9 @@ class Camera(Protocol):
         """End what is under way; its frame never comes. Whether it is lit after that."""
         ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Let go of it. Never raises."""
+        ...
 
 
 _camera: Camera | None = None
@@ -80,11 +84,6 @@ _camera: Camera | None = None
 def open_camera(address: str, serial: str, triggered: bool) -> Who:
     """Open the camera with this serial number, or the only one; one that is open, and not lost, is only asked again."""
     global _camera  # a process has one camera, and it stays open from call to call
-    if _camera is not None:
-        try:
-            return _camera.who()
-        except CameraLost:
-            close_camera()
     if _camera is None:
         if address.startswith(SOCKET):
             from hal.bus.camera_socket import SocketCamera
@@ -94,38 +93,37 @@ def open_camera(address: str, serial: str, triggered: bool) -> Who:
             from hal.bus.gentl import HarvestedCamera
 
             _camera = HarvestedCamera(address, serial, triggered)
-    return _camera.who()
+    return _do(lambda camera: camera.who())
 
 
 def lit() -> bool:
     """See `Camera.lit`."""
-    return _opened().lit()
+    return _do(lambda camera: camera.lit())
 
 
 def shoot(user_set: str) -> None:
     """See `Camera.shoot`."""
-    _opened().shoot(user_set)
+    _do(lambda camera: camera.shoot(user_set))
 
 
 def fetch(timeout_s: float) -> Shot | None:
     """See `Camera.fetch`."""
-    return _opened().fetch(timeout_s)
+    return _do(lambda camera: camera.fetch(timeout_s))
 
 
 def stop() -> bool:
     """See `Camera.stop`."""
-    return _opened().stop()
+    return _do(lambda camera: camera.stop())
 
 
-def close_camera() -> None:
-    """Close it, if it is open."""
+def _do(act: Callable[[Camera], T]) -> T:
+    """One that is lost is let go, so that it can be opened anew."""
     global _camera
-    camera, _camera = _camera, None
-    if camera is not None:
-        camera.close()
-
-
-def _opened() -> Camera:
     if _camera is None:
         raise CameraLost("the camera is not open")
-    return _camera
+    try:
+        return act(_camera)
+    except CameraLost:
+        lost, _camera = _camera, None
+        lost.close()
+        raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from pathlib import Path
 from typing import Any, NoReturn
@@ -21,7 +22,7 @@ except ImportError as error:
 for _name in ("harvesters", "harvesters.core"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)  # the errors raised here say it
 
-_3D = "Coord3D_"
+_3D, _EXPOSING = "Coord3D_", "ExposureActive"
 DRAIN_S = 0.002
 """How long a frame is looked for that shall not be there."""
 
@@ -43,12 +44,14 @@ class HarvestedCamera:
             self._acquirer = self._harvester.create(self._place(serial))
             self._acquirer.add_callback(self._acquirer.Events.INCOMPLETE_BUFFER, _Call(self._incomplete))
             self._nodes = self._acquirer.remote_device.node_map
+            selector = getattr(self._nodes, "AcquisitionStatusSelector", None)
+            self._tells = selector is not None and _EXPOSING in selector.symbolics
             self._set_up()
         except (ProducerError, NodeError) as error:
-            self._harvester.reset()
+            self.close()
             raise CameraLost(_text(error)) from None
         except CameraError:
-            self._harvester.reset()
+            self.close()
             raise
 
     def _place(self, serial: str) -> int:
@@ -78,9 +81,9 @@ class HarvestedCamera:
 
     def lit(self) -> bool:
         """The camera's own word where it has one; else whether a frame was begun and neither came nor was stopped."""
-        if not self._has("AcquisitionStatus"):
+        if not self._tells:
             return self._waiting
-        self._set("AcquisitionStatusSelector", "ExposureActive")
+        self._set("AcquisitionStatusSelector", _EXPOSING)
         return bool(self._get("AcquisitionStatus"))
 
     def shoot(self, user_set: str) -> None:
@@ -136,7 +139,8 @@ class HarvestedCamera:
 
     def close(self) -> None:
         """Let go of camera and producer."""
-        self._harvester.reset()
+        with contextlib.suppress(ProducerError, NodeError):
+            self._harvester.reset()
 
     def _incomplete(self) -> None:
         self._half = True
@@ -208,5 +212,6 @@ def _text(error: BaseException) -> str:
 
 
 def _raise(error: BaseException) -> NoReturn:
-    """The producer's errors do not travel to another process, so their text does."""
-    raise CameraError(_text(error)) from None
+    """An acquisition that fails may be a camera that is gone: it is opened anew. The producer's errors do not travel to
+    another process, so their text does."""
+    raise CameraLost(f"the acquisition failed: {_text(error)}") from None
