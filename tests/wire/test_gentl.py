@@ -140,9 +140,14 @@ def test_the_cable_is_pulled_and_plugged_back() -> None:
     on_wire(case)
 
 
-def test_a_producer_that_hangs_is_ended_with_its_process_and_the_loop_goes_on() -> None:
+FEW = pytest.mark.parametrize("times", [3, pytest.param(TIMES, marks=pytest.mark.nightly)])
+"""Each of these starts a process."""
+
+
+@FEW
+def test_a_producer_that_hangs_is_ended_with_its_process_and_the_loop_goes_on(times: int) -> None:
     async def case(camera: SimulatedCamera, scanner: GentlScanner) -> None:
-        for _ in range(3):
+        for _ in range(times):
             before = scanner._process.pid
             camera.wire.silent = 1
             command = asyncio.create_task(scanner.capture("rotor"))
@@ -159,10 +164,11 @@ def test_a_producer_that_hangs_is_ended_with_its_process_and_the_loop_goes_on() 
     on_wire(case, speed=10.0, reply_s=4.0)
 
 
+@FEW
 @pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGSEGV])
-def test_a_process_that_dies_is_told_and_replaced(kill: signal.Signals) -> None:
+def test_a_process_that_dies_is_told_and_replaced(kill: signal.Signals, times: int) -> None:
     async def case(_: SimulatedCamera, scanner: GentlScanner) -> None:
-        for _ in range(3):
+        for _ in range(times):
             pid = scanner._process.pid
             assert pid is not None
             capture = asyncio.create_task(scanner.capture("rotor"))
