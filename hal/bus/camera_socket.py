@@ -134,10 +134,13 @@ class CameraServer:
         self._writers[writer] = task
         try:
             while line := await reader.readline():
-                said, data = await self._serve(json.loads(line))
+                request = json.loads(line)
+                if not isinstance(request, dict):
+                    break
+                said, data = await self._serve(request)
                 writer.write(json.dumps(said | {"bytes": len(data)}).encode() + b"\n" + data)
                 await writer.drain()
-        except (OSError, asyncio.CancelledError):
+        except (OSError, ValueError, asyncio.CancelledError):  # the link broke, or what came is no request
             pass
         finally:
             del self._writers[writer]

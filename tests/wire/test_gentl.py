@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import signal
 import threading
@@ -195,6 +196,24 @@ def test_closing_ends_a_capture_the_process_and_the_thread() -> None:
             os.kill(pid, 0)
         with pytest.raises(NotConnected):
             await scanner.safe()
+
+    on_wire(case)
+
+
+def test_what_is_no_request_is_hung_up_on_or_refused_and_others_go_on() -> None:
+    async def case(camera: SimulatedCamera, scanner: GentlScanner) -> None:
+        for line, answer in (
+            (b"\n", b""),
+            (b"[]\n", b""),
+            (b"x" * 100_000, b""),
+            (b'{"do": "dance"}\n', b'{"ok": false, "error": "refused"'),
+        ):
+            reader, writer = await asyncio.open_connection("127.0.0.1", camera.server.port)
+            writer.write(line)
+            with contextlib.suppress(ConnectionError):
+                assert (await reader.read(100)).startswith(answer)
+            writer.close()
+        assert (await scanner.capture("rotor")).points_mm.size
 
     on_wire(case)
 

@@ -71,7 +71,7 @@ class SimulatedCamera:
             self.wire.silent -= 1
             await asyncio.sleep(math.inf)
         try:
-            await self._faults.gate(self.name, request["do"], deadline_s=math.inf)
+            await self._faults.gate(self.name, str(request.get("do")), deadline_s=math.inf)
         except NotConnected:
             raise ConnectionAbortedError from None
         try:
@@ -83,20 +83,24 @@ class SimulatedCamera:
         return {"ok": True} | said, data
 
     async def _obey(self, request: dict[str, Any]) -> Answer:
-        match request["do"]:
+        match request.get("do"):
             case "who":
                 model = "twin structured light (GenTL)"
                 return {"vendor": "cellctl", "model": model, "serial": self.serial, "firmware": "1"}, b""
             case "shoot":
                 await self._drop()
                 self.shots += 1
-                capture = self._scanner.capture(cast(View, request["user_set"]))
+                capture = self._scanner.capture(cast(View, request.get("user_set", "")))
                 self._shot = asyncio.create_task(capture, name=f"{self.name} shot")
             case "fetch":
-                return await self._fetch(request["timeout_s"])
+                return await self._fetch(float(request.get("timeout_s", 0.0)))
             case "stop":
                 await self._scanner.halt()
                 await self._drop()
+            case "lit":
+                pass
+            case unknown:
+                raise DeviceRefused(f"unknown request {str(unknown)[:40]!r}", device=self.name)
         return {"lit": not (await self._scanner.safe()).safe}, b""
 
     async def _drop(self) -> None:
