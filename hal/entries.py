@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hal.interfaces import View
 from hal.units import Fraction, Seconds, Watt
 
 BY_KIND = Field(discriminator="kind")
@@ -127,6 +128,23 @@ class FileDropEntry(Section):
     frame_s: Seconds = Field(default=10.0, gt=0)
 
 
+class GentlEntry(Section):
+    """A scanner behind a GenTL producer (the path of a .cti file; "socket://HOST:PORT" for a simulated one).
+
+    `serial` names the camera where the producer shows several. With `trigger` "free" the camera gives frames from the
+    start of an acquisition on by itself. `user_sets` are the camera's own settings to be loaded for each view. It
+    answers within `reply_s`, or is ended; a frame comes within `frame_s`.
+    """
+
+    kind: Literal["gentl"]
+    producer: str
+    serial: str = ""
+    trigger: Literal["software", "free"] = "software"
+    user_sets: dict[View, str] = Field(default_factory=dict)
+    reply_s: Seconds = Field(default=4.0, gt=0)
+    frame_s: Seconds = Field(default=10.0, gt=0)
+
+
 class HeaterEntry(Section):
     """The heater controller."""
 
@@ -232,4 +250,4 @@ class Devices(Section):
     gap_probe_3: Annotated[PlainEntry | ModbusEntry, BY_KIND]
     safety: Annotated[PlainEntry | ModbusEntry, BY_KIND]
     part_station: Annotated[PlainEntry | ModbusStationEntry, BY_KIND]
-    scanner: Annotated[PlainEntry | FileDropEntry, BY_KIND]
+    scanner: Annotated[PlainEntry | FileDropEntry | GentlEntry, BY_KIND]

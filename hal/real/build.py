@@ -6,12 +6,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from hal.bus.camera import SOCKET
 from hal.bus.can import CanBus
 from hal.bus.modbus import Lines
 from hal.config import CellConfig
-from hal.entries import AXIS_UNITS, CanAxisEntry, FileDropEntry, ForceLineEntry, ModbusEntry, OpenProtocolEntry
+from hal.entries import (
+    AXIS_UNITS,
+    CanAxisEntry,
+    FileDropEntry,
+    ForceLineEntry,
+    GentlEntry,
+    ModbusEntry,
+    OpenProtocolEntry,
+)
 from hal.real.axes import CanAxis
 from hal.real.force import SerialForceSensor
+from hal.real.gentl import GentlScanner
 from hal.real.gun import OpenProtocolGun
 from hal.real.modbus_devices import modbus_device
 from hal.real.scanner import FileDropScanner
@@ -45,6 +55,8 @@ def real_devices(config: CellConfig) -> RealDevices:
             case FileDropEntry():
                 folder = config.beside(entry.folder)
                 devices[name] = FileDropScanner(name, entry.model_copy(update={"folder": folder}))
+            case GentlEntry():
+                devices[name] = GentlScanner(name, _producer(config, entry))
             case ModbusEntry():
                 devices[name] = modbus_device(name, _beside(config, entry), lines)
     return RealDevices(devices, can)
@@ -62,3 +74,10 @@ def can_bus(config: CellConfig) -> CanBus | None:
 def _beside(config: CellConfig, entry: ModbusEntry) -> ModbusEntry:
     """A serial port is named relative to the cell file."""
     return entry.model_copy(update={"port_path": str(config.beside(entry.port_path))}) if entry.port_path else entry
+
+
+def _producer(config: CellConfig, entry: GentlEntry) -> GentlEntry:
+    """A producer's file is named relative to the cell file."""
+    if entry.producer.startswith(SOCKET):
+        return entry
+    return entry.model_copy(update={"producer": str(config.beside(entry.producer))})

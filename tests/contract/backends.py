@@ -15,7 +15,7 @@ from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
 from hal.fake.levels import Level
 from hal.fake.plant import Plant, TwinSettings
-from tests.contract import wire_axis, wire_force, wire_gun, wire_modbus, wire_scanner
+from tests.contract import wire_axis, wire_force, wire_gentl, wire_gun, wire_modbus, wire_scanner
 from tests.contract.fakes import fake_device
 
 OPEN_FIT = {"fit_interference_mm": -0.2}
@@ -132,7 +132,11 @@ BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType(
         "test_nut_feeder": (FAKE, _MODBUS),
         "test_part_station": (FAKE, _MODBUS),
         "test_safety": (FAKE, _MODBUS),
-        "test_scanner": (FAKE, WireBackend(wire_scanner.installed)),
+        "test_scanner": (
+            FAKE,
+            WireBackend(wire_scanner.installed),
+            WireBackend(wire_gentl.installed, "gentl", speed=10.0),
+        ),
         "test_thermometer": (FAKE, _MODBUS, _MODBUS_RTU),
     }
 )
