@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -140,18 +140,32 @@ class PlainEntry(Section):
     kind: Literal["fake"]
 
 
-class OpenProtocolEntry(Section):
-    """A tightening gun behind an Open Protocol controller.
+class GunEntry(Section):
+    """A tightening gun behind a controller of its own. `serial` is checked where it is given.
 
-    `serial` is the controller's, checked where it is given. `start_input` and `running_relay` are the controller's
-    functions "remote start" and "tool running"; `estop_alarms` are the codes of its alarms that mean that the
-    hard-wired circuit took its power; `trace_order` is the byte order of its curves.
+    Each maker's entry says where its two ends are made, `backend(name, entry)` and `simulator(name, entry, plant,
+    faults, programs)`: what composes a cell knows no maker.
     """
 
-    kind: Literal["open_protocol"]
+    backend: ClassVar[str]
+    simulator: ClassVar[str]
     host: str
-    port: int = Field(default=4545, ge=1, le=65535)
+    port: int = Field(ge=1, le=65535)
     serial: str = ""
+
+
+class OpenProtocolEntry(GunEntry):
+    """A tightening gun behind an Open Protocol controller, whose serial number is meant.
+
+    `start_input` and `running_relay` are the controller's functions "remote start" and "tool running"; `estop_alarms`
+    are the codes of its alarms that mean that the hard-wired circuit took its power; `trace_order` is the byte order
+    of its curves.
+    """
+
+    backend: ClassVar[str] = "hal.real.gun:OpenProtocolGun"
+    simulator: ClassVar[str] = "hal.fake.wire.gun:GunController.of"
+    kind: Literal["open_protocol"]
+    port: int = Field(default=4545, ge=1, le=65535)
     start_input: int = Field(default=7, ge=0, le=999)
     running_relay: int = Field(default=26, ge=1, le=999)
     estop_alarms: tuple[str, ...] = ()
