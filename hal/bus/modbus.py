@@ -91,6 +91,8 @@ class Line:
         self._heard_s: dict[int, float] = {}
         self._errands: list[Poll] = []
         self._why = ""
+        self.connection = 0
+        """Counts connections: what was read on one says nothing on the next."""
         self._sent_s = self._quiet_until_s = -math.inf
 
     async def open(self, holder: object) -> None:
@@ -279,6 +281,7 @@ class Line:
             client.close()
             raise asyncio.CancelledError  # asyncio.wait_for, inside the client, may swallow it
         if made:
+            self.connection += 1
             self._client, self._lost = client, asyncio.get_running_loop().create_future()
         else:
             client.close()
