@@ -172,6 +172,23 @@ class OpenProtocolEntry(GunEntry):
     trace_order: Literal["big", "little"] = "big"
 
 
+class KducerEntry(GunEntry):
+    """A tightening gun behind a Kolver K-Ducer on Modbus TCP. `serial` is the screwdriver's.
+
+    The controller's first `programs` programs are this cell's. It lets go of the lever, and stops, where the lever is
+    not set again in time: `lever_s` must be below that time, which is measured at commissioning.
+    """
+
+    backend: ClassVar[str] = "hal.real.kducer:KducerGun"
+    simulator: ClassVar[str] = "hal.fake.wire.kducer:KducerController"
+    kind: Literal["kducer"]
+    port: int = Field(default=502, ge=1, le=65535)
+    unit: int = Field(default=1, ge=1, le=247)
+    programs: int = Field(default=16, ge=1, le=64)
+    lever_s: Seconds = Field(default=0.2, ge=0.1, le=1.0)
+    deadline_s: Seconds = Field(default=1.5, gt=0)
+
+
 class ModbusEntry(Section):
     """A device behind a Modbus server (`host`, `port`) or on a serial line (`port_path`, framing rtu).
 
@@ -228,8 +245,8 @@ class Devices(Section):
     shaft_table: AnyAxisEntry
     gun_table: AnyAxisEntry
     gun_feed: AnyAxisEntry
-    gun_a: Annotated[PlainEntry | OpenProtocolEntry, BY_KIND]
-    gun_b: Annotated[PlainEntry | OpenProtocolEntry, BY_KIND]
+    gun_a: Annotated[PlainEntry | OpenProtocolEntry | KducerEntry, BY_KIND]
+    gun_b: Annotated[PlainEntry | OpenProtocolEntry | KducerEntry, BY_KIND]
     jack_force: Annotated[ForceEntry | ForceLineEntry, BY_KIND]
     gun_force_a: Annotated[ForceEntry | ForceLineEntry, BY_KIND]
     gun_force_b: Annotated[ForceEntry | ForceLineEntry, BY_KIND]
