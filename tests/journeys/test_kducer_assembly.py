@@ -22,7 +22,7 @@ def with_kolvers(config: CellConfig) -> CellConfig:
     return config.model_copy(update={"devices": config.devices.model_copy(update=guns)})
 
 
-@pytest.mark.nightly  # as long as the assembly with the wire cell's own guns
+@pytest.mark.nightly  # 90 s of CPU
 def test_an_assembly_with_kolver_guns_is_accepted(tmp_path: Path) -> None:
     config = with_kolvers(wire_cell(tmp_path, **BRISK))
     outcome, truth = assembled_over_the_wire(small_recipe(4), config, tmp_path / "data")
