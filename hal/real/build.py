@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,13 +17,12 @@ from hal.entries import (
     FileDropEntry,
     ForceLineEntry,
     GentlEntry,
+    GunEntry,
     ModbusEntry,
-    OpenProtocolEntry,
 )
 from hal.real.axes import CanAxis
 from hal.real.force import SerialForceSensor
 from hal.real.gentl import GentlScanner
-from hal.real.gun import OpenProtocolGun
 from hal.real.modbus_devices import modbus_device
 from hal.real.scanner import FileDropScanner
 
@@ -47,8 +47,8 @@ def real_devices(config: CellConfig) -> RealDevices:
             case CanAxisEntry():
                 assert can is not None, "the cell file was checked"
                 devices[name] = CanAxis(name, AXIS_UNITS[name], entry, can, controller=can.node)
-            case OpenProtocolEntry():
-                devices[name] = OpenProtocolGun(name, entry)
+            case GunEntry():
+                devices[name] = pkgutil.resolve_name(entry.backend)(name, entry)
             case ForceLineEntry():
                 path = str(config.beside(entry.path))
                 devices[name] = SerialForceSensor(name, entry.model_copy(update={"path": path}))

@@ -15,7 +15,7 @@ from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
 from hal.fake.levels import Level
 from hal.fake.plant import Plant, TwinSettings
-from tests.contract import wire_axis, wire_force, wire_gentl, wire_gun, wire_modbus, wire_scanner
+from tests.contract import wire_axis, wire_force, wire_gentl, wire_gun, wire_kducer, wire_modbus, wire_scanner
 from tests.contract.fakes import fake_device
 
 OPEN_FIT = {"fit_interference_mm": -0.2}
@@ -127,7 +127,11 @@ BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType(
         "test_chuck": (FAKE, _MODBUS),
         "test_force_sensor": (FAKE, WireBackend(wire_force.installed, speed=5.0)),
         "test_gap_probe": (FAKE, _MODBUS),
-        "test_gun": (FAKE, WireBackend(wire_gun.installed, speed=200.0)),
+        "test_gun": (
+            FAKE,
+            WireBackend(wire_gun.installed, speed=200.0),
+            WireBackend(wire_kducer.installed, "wire_kducer", speed=200.0),
+        ),
         "test_heater": (FAKE, _MODBUS),
         "test_nut_feeder": (FAKE, _MODBUS),
         "test_part_station": (FAKE, _MODBUS),
