@@ -169,7 +169,7 @@ def _seen_in_front(points: Columns, face: Face, part: Part) -> float:
     patches -= patches.min(axis=0)
     patch = patches[:, 0] * (patches[:, 1].max() + 1) + patches[:, 1]
     votes = np.sign(np.bincount(patch, np.where(local.z[inside] < 0.0, 1.0, -1.0)))
-    return float(votes.sum()) / math.sqrt(max(np.count_nonzero(votes), 1))
+    return float(votes.sum()) / math.sqrt(max(int(np.count_nonzero(votes)), 1))
 
 
 def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part, reference: Array) -> Face | None:
