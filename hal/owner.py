@@ -1,0 +1,57 @@
+"""Whether somebody else controls the drives. Their bus tells: a controller at work sends its heartbeat."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+
+from hal.codec.cia301 import HEARTBEAT
+from hal.codec.lawicel import CanFrame
+from hal.config import CellConfig
+from hal.entries import CanAxisEntry
+from hal.errors import DeviceRefused, NotConnected
+
+MARGIN_S = 0.1
+
+
+class _Heard:
+    """A listener that waits for one frame."""
+
+    def __init__(self) -> None:
+        self.event = asyncio.Event()
+
+    def frame(self, frame: CanFrame) -> None:
+        self.event.set()
+
+    def down(self, reason: str) -> None:
+        """A bus that is lost says nothing of who is on it."""
+
+
+async def refuse_second_controller(config: CellConfig) -> None:
+    """Listen for as long as the drives would wait for their controller. Raises DeviceRefused where one is heard.
+
+    Nothing is sent but what opening the adapter needs. An adapter that cannot be opened is not this question's matter.
+    """
+    periods_s = [entry.heartbeat_s for entry in config.entries.values() if isinstance(entry, CanAxisEntry)]
+    if not periods_s or config.can is None:
+        return
+    from hal.real.build import can_bus
+
+    bus = can_bus(config)
+    assert bus is not None, "there is a [can]"
+    heard = _Heard()
+    try:
+        await bus.open()
+    except NotConnected:
+        return
+    end = bus.subscribe(HEARTBEAT + config.can.node, heard)
+    try:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(2.0 * max(periods_s) + MARGIN_S):
+                await heard.event.wait()
+    finally:
+        end()
+        await bus.release()
+    if heard.event.is_set():
+        where = f"{config.can.channel}: node {config.can.node}"
+        raise DeviceRefused(f"{where} is at work (its heartbeat is heard): a bus has one controller, end it first")
