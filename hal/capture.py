@@ -10,9 +10,9 @@
     {"t": 0.5000, "link": 0, "dir": "out", "id": "603", "hex": "4041600000000000"}
 
 `t` is seconds since the start; `out` goes from the controller to the device, `in` comes from it. Bytes stand as `text`
-where all of them are ASCII, otherwise as `hex`; they are pieces as they came, whose borders mean nothing on a stream.
-`id` is a CAN identifier in hex, with one frame a line. `link` counts the connections of a stream; an `event` is said
-of one of them.
+where a person can read all of them, otherwise as `hex`; on a stream they are pieces as they came, whose borders mean
+nothing. `id` is a CAN identifier in hex, with one frame a line. `link` counts the connections of a stream; an `event`
+is said of one of them.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from typing import Any, Literal, TextIO, get_args
 from hal.errors import ConfigError
 
 VERSION = 1
+READABLE = bytes(range(0x20, 0x7F)) + b"\r\n\0"
 Direction = Literal["out", "in"]
 
 
@@ -81,7 +82,7 @@ class CaptureFile:
         line["dir"] = record.direction
         if record.can_id is not None:
             line["id"] = f"{record.can_id:03x}"
-        elif record.data.isascii():
+        elif not record.data.translate(None, READABLE):
             self._write(line | {"text": record.data.decode("ascii")})
             return
         self._write(line | {"hex": record.data.hex()})

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import tempfile
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
@@ -93,12 +92,17 @@ async def _on_serial(stack: AsyncExitStack, config: CellConfig, bus: Bus, port: 
     from hal.bus.relay import SerialRelay
 
     entry: Any = config.entries[bus.devices[0]]
-    path = Path(os.path.abspath(listen or f"{stack.enter_context(tempfile.TemporaryDirectory())}/tap"))
+    path = _terminal(listen or f"{stack.enter_context(tempfile.TemporaryDirectory())}/tap")
     relay = SerialRelay(port, entry.baud, getattr(entry, "parity", "N"), path, sink)
     stack.callback(relay.close)
     relay.start()
     key = "port_path" if hasattr(entry, "port_path") else "path"
     return Tap(_elsewhere(config, bus, {key: str(path)}), str(path))
+
+
+def _terminal(listen: str) -> Path:
+    """Whole, since names in the cell file are relative to it."""
+    return Path(listen).absolute()
 
 
 async def _on_tcp(stack: AsyncExitStack, config: CellConfig, bus: Bus, sink: _Sink, listen: str) -> Tap:

@@ -52,15 +52,19 @@ class TcpRelay:
         self._tasks.add(task)
         self._links += 1
         link = self._links
+        why = "closed"
         try:
-            await self._relayed(link, reader, writer)
-        except (OSError, asyncio.CancelledError) as error:
-            self._told.event(link, f"lost: {error}" if str(error) else "closed")
+            why = await self._relayed(link, reader, writer)
+        except OSError as error:
+            why = f"lost: {error}"
+        except asyncio.CancelledError:
+            pass
         finally:
+            self._told.event(link, why)
             self._tasks.discard(task)
             writer.transport.abort()
 
-    async def _relayed(self, link: int, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _relayed(self, link: int, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> str:
         device_reader, device_writer = await asyncio.open_connection(self._host, self._port)
         self._told.event(link, "opened")
 
@@ -79,7 +83,7 @@ class TcpRelay:
         ways = [asyncio.create_task(way()) for way in (outward, inward)]
         try:
             done, _ = await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
-            self._told.event(link, next(iter(done)).result())
+            return next(iter(done)).result()
         finally:
             for task in ways:
                 task.cancel()

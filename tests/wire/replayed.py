@@ -1,0 +1,125 @@
+"""What was done with a device while its bus was recorded for the replays, and is done again against the replay.
+
+The recordings in `tests/wire/captures` were made by the command, with `cellctl simulate --cell deploy/cell.wire.toml
+--recipe recipes/lpt_shaft_36.toml` beside it, each while this module did its part in another process:
+
+    cellctl capture gun_a --cell deploy/cell.wire.toml -o gun.jsonl --listen 45450
+    python -m tests.wire.replayed gun 45450
+
+likewise `heater` at a port, `gun_force_a` at a path, and `can`, which is listened to, at the port of the hub.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import sys
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+
+from hal.bus.can import CanBus
+from hal.bus.modbus import Lines
+from hal.config import load_cell
+from hal.entries import CanAxisEntry, ForceLineEntry, ModbusHeaterEntry, OpenProtocolEntry
+from hal.interfaces import AxisState, ForceBlock, HeaterState, TighteningProgram, TighteningResult
+from hal.real.axes import CanAxis
+from hal.real.force import SerialForceSensor
+from hal.real.gun import OpenProtocolGun
+from hal.real.modbus_devices import modbus_device
+
+ROOT = Path(__file__).parents[2]
+DEVICES = load_cell(ROOT / "deploy" / "cell.wire.toml").devices
+BEAT_S = 0.2
+TURNED = 30.0
+"""Degrees that the empty socket is turned back."""
+
+
+async def gun(where: str, program: TighteningProgram | None = None) -> TighteningResult:
+    """One tightening with its curves; the key is fixed, as everything that the controller says."""
+    entry = DEVICES.gun_a
+    assert isinstance(entry, OpenProtocolEntry)
+    device = OpenProtocolGun("gun_a", entry.model_copy(update={"host": "127.0.0.1", "port": int(where)}))
+    try:
+        await device.connect()
+        result = await device.tighten("capture-1", program or snug())
+        assert await device.result("capture-1") is not None
+        assert (await device.safe()).safe
+        return result
+    finally:
+        await device.close()
+
+
+def snug() -> TighteningProgram:
+    """The first stage of the recipe whose parameter sets the controller has."""
+    from cellctl.gun_programs import programs_of
+    from cellctl.recipe import load_recipe
+
+    recipe = load_recipe(ROOT / "recipes" / "lpt_shaft_36.toml")
+    return next(one for one in programs_of(recipe.tighten) if isinstance(one, TighteningProgram))
+
+
+async def heater(where: str) -> HeaterState:
+    """Heat a little and switch off."""
+    entry = DEVICES.heater
+    assert isinstance(entry, ModbusHeaterEntry)
+    device = modbus_device("heater", entry.model_copy(update={"host": "127.0.0.1", "port": int(where)}), Lines())
+    try:
+        await device.connect()
+        await device.rearm()
+        state = await device.heat(30.0, ramp_k_per_min=10.0, max_power_w=500.0)
+        await device.halt()
+        assert (await device.safe()).safe
+        assert isinstance(state, HeaterState)
+        return state
+    finally:
+        await device.close()
+
+
+async def force(where: str) -> ForceBlock:
+    """A quarter of a second of samples."""
+    entry = DEVICES.gun_force_a
+    assert isinstance(entry, ForceLineEntry)
+    device = SerialForceSensor("gun_force_a", entry.model_copy(update={"path": where}))
+    try:
+        await device.connect()
+        return await device.block(25)
+    finally:
+        await device.close()
+
+
+async def axis(where: str) -> AxisState:
+    """Out of whatever stop it was in, home, half a millimetre."""
+    entry = DEVICES.stage_x
+    assert isinstance(entry, CanAxisEntry)
+    options = {"channel": f"socket://127.0.0.1:{where}", "bitrate": 1_000_000, "sleep_after_open": 0.0}
+    bus = CanBus({"interface": "slcan", **options})
+    device = CanAxis("stage_x", "mm", entry, bus)
+    beats = asyncio.create_task(_beat(bus), name="beats")
+    try:
+        await device.connect()
+        await device.rearm()
+        await device.home()
+        state = await device.move_to(0.5, speed=2.0)
+        assert (await device.safe()).safe
+        return state
+    finally:
+        await device.close()
+        beats.cancel()
+        await asyncio.gather(beats, return_exceptions=True)
+
+
+async def _beat(bus: CanBus) -> None:
+    while True:
+        bus.beat()
+        await asyncio.sleep(BEAT_S)
+
+
+DONE: Mapping[str, Callable[[str], Awaitable[object]]] = {"gun": gun, "heater": heater, "force": force, "axis": axis}
+
+if __name__ == "__main__":
+
+    async def main() -> None:
+        print(await DONE[sys.argv[1]](sys.argv[2]))
+
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(main())
