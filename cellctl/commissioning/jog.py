@@ -20,7 +20,7 @@ from cellctl.checks.docking import trip_n, usable_trip_n
 from cellctl.commissioning.bench import connected
 from hal.cell import Cell, CellFailure
 from hal.config import CellConfig
-from hal.errors import CellError, DeviceRefused, GuardTripped, ImplausibleReading, Interrupted
+from hal.errors import CellError, DeviceError, DeviceRefused
 from hal.interfaces import AxisState, ForceSensor, GuardLimits
 from hal.permits import AXES, NEEDED, AxisName
 from hal.permitted import PermittedAxis
@@ -148,8 +148,8 @@ async def carry_out(
 ) -> Jogged:
     """Enable the drive where it stands and move it; `halt` stops it. `told` hears where it is on the way.
 
-    It ends at rest, read back. Raises CellError where the drive cannot be enabled, does not acknowledge its halt, or
-    fails on the way.
+    It ends at rest, read back, with the reason where it did not arrive. Raises CellError where the drive cannot be
+    enabled or is not proven at rest.
     """
     axis = _axis(cell, plan.axis)
     await axis.rearm()
@@ -160,19 +160,23 @@ async def carry_out(
         stops += [asyncio.ensure_future(_met(getattr(cell, name), plan.trip_n)) for name in WATCHES["gun_feed"]]
     try:
         reason = await _until_done(axis, motion, stops, told)
-        end: Literal["arrived", "stopped"] = "stopped" if reason else "arrived"
-        with contextlib.suppress(Interrupted, GuardTripped):
-            await motion
-        guard = cell.guard.state()
-        if guard.tripped:
-            end, reason = "stopped", guard.reason
     finally:
         for task in (motion, *stops):
             task.cancel()
         await asyncio.gather(motion, *stops, return_exceptions=True)
-    await axis.halt()
-    state, rest = await axis.read(), (await axis.safe()).detail
-    return Jogged(end, state, rest, reason)
+    guard = cell.guard.state()
+    return await _at_rest(axis, guard.reason if guard.tripped else reason)
+
+
+async def _at_rest(axis: PermittedAxis, reason: str) -> Jogged:
+    """Halt, acknowledged, and read back. Raises DeviceError where rest is not proven."""
+    try:
+        await axis.halt()
+        state, rest = await axis.read(), (await axis.safe()).detail
+    except CellError as error:
+        first = f"{reason}; " if reason else ""
+        raise DeviceError(f"{first}not proven at rest: {error.reason}", device=axis.name) from error
+    return Jogged("stopped" if reason else "arrived", state, rest, reason)
 
 
 async def _until_done(
@@ -181,17 +185,20 @@ async def _until_done(
     stops: Iterable[asyncio.Future[Any]],
     told: Callable[[AxisState], None],
 ) -> str:
-    """Returns why the axis was halted on its way, or an empty string where the motion ended by itself."""
+    """Returns why the axis did not arrive, or an empty string."""
     while not motion.done():
         await asyncio.wait([motion, *stops], timeout=TELL_S, return_when=asyncio.FIRST_COMPLETED)
-        if motion.done():
-            break
-        if stopped := next((stop for stop in stops if stop.done()), None):
-            await axis.halt()
+        if not motion.done() and (stopped := next((stop for stop in stops if stop.done()), None)):
+            with contextlib.suppress(CellError):  # proven, or told, when it should be at rest
+                await axis.halt()
             return str(stopped.result())
-        with contextlib.suppress(CellError):  # the motion itself says what is wrong
-            told(await axis.read())
-    return ""
+        if not motion.done():
+            with contextlib.suppress(CellError):  # the motion itself says what is wrong
+                told(await axis.read())
+    error = motion.exception()
+    if error is not None and not isinstance(error, CellError):
+        raise error
+    return "" if error is None else str(error)
 
 
 async def _asked(halt: asyncio.Event) -> str:
@@ -200,14 +207,17 @@ async def _asked(halt: asyncio.Event) -> str:
 
 
 async def _met(sensor: ForceSensor, limit_n: float) -> str:
-    """Returns what was met beyond `limit_n`. Raises ImplausibleReading where the signal is not alive."""
+    """Returns what was met beyond `limit_n`, or why the sensor is of no use any more."""
     while True:
-        samples_n = (await sensor.block(max(LOOK, round(sensor.rate_hz)), high_n=limit_n)).samples_n
+        try:
+            samples_n = (await sensor.block(max(LOOK, round(sensor.rate_hz)), high_n=limit_n)).samples_n
+        except CellError as error:
+            return str(error)
         last_n = float(samples_n[-1])
         if last_n > limit_n:
             return f"{sensor.name}: {last_n:.1f} N of contact force (limit {limit_n:g} N)"
         if math.isnan(last_n) or (len(samples_n) >= LOOK and float(np.ptp(samples_n)) == 0.0):
-            raise ImplausibleReading(f"stands still at {last_n:.1f} N, which no live signal does", device=sensor.name)
+            return f"{sensor.name}: stands still at {last_n:.1f} N, which no live signal does"
 
 
 def _axis(cell: Cell, name: AxisName) -> PermittedAxis:

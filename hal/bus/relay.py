@@ -6,12 +6,14 @@ A relay adds its own delay: the bytes go through this process once more.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from pathlib import Path
 from typing import Protocol
 
 from hal.bus.pty import Pty
 from hal.bus.serial import SerialLine
+
+LINGER_S = 0.2
+"""For last words to pass."""
 
 
 class Told(Protocol):
@@ -39,9 +41,11 @@ class TcpRelay:
         return int(self._server.sockets[0].getsockname()[1])
 
     async def close(self) -> None:
-        """Cut every connection; leaves no task."""
+        """Cut every connection that does not end by itself; leaves no task."""
         if self._server is not None:
             self._server.close()
+        if self._tasks:
+            await asyncio.wait(self._tasks, timeout=LINGER_S)
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -62,7 +66,7 @@ class TcpRelay:
         finally:
             self._told.event(link, why)
             self._tasks.discard(task)
-            writer.transport.abort()
+            await _closed(writer)
 
     async def _relayed(self, link: int, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> str:
         device_reader, device_writer = await asyncio.open_connection(self._host, self._port)
@@ -88,9 +92,17 @@ class TcpRelay:
             for task in ways:
                 task.cancel()
             await asyncio.gather(*ways, return_exceptions=True)
-            for end in (device_writer, writer):
-                with contextlib.suppress(OSError):
-                    end.close()
+            await asyncio.gather(*(_closed(end) for end in (device_writer, writer)))
+
+
+async def _closed(end: asyncio.StreamWriter) -> None:
+    """Close behind what was written, or cut."""
+    end.close()
+    try:
+        async with asyncio.timeout(LINGER_S):
+            await end.wait_closed()
+    except (OSError, TimeoutError):
+        end.transport.abort()
 
 
 class SerialRelay:

@@ -1,4 +1,4 @@
-"""Recorded buses are played back to the real backends: they say what they said then, and take from it what they took."""
+"""Recorded buses are played back to the real backends: they say what they said then, and hear what they heard."""
 
 from __future__ import annotations
 

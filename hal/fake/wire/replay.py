@@ -20,7 +20,6 @@ from hal.codec.cia301 import NMT, SYNC
 from hal.codec.lawicel import CanFrame, encode
 
 
-
 class Replay:
     """One thread of a conversation. `difference` is empty while the controller says what it said then."""
 
