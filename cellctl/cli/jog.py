@@ -70,7 +70,7 @@ async def jog(config: CellConfig, recipe: Path, wish: Wish, *, yes: bool, say: C
                 say(str(plan))
                 if not yes and not await agreed(halt):
                     return None
-                return await carry_out(cell, plan, halt, lambda state: say(_where(plan, state)))
+                return await carry_out(cell, plan, halt, lambda state: _on_the_way(plan, state, say))
 
 
 async def agreed(halt: asyncio.Event) -> bool:
@@ -95,8 +95,10 @@ async def agreed(halt: asyncio.Event) -> bool:
     return bool(said) and said[0].strip().lower() in ("y", "yes")
 
 
-def _where(plan: Plan, state: AxisState) -> str:
-    return f"  {state.position:.3f} {plan.unit}, {state.velocity + 0.0:.3f} {plan.unit}/s"
+def _on_the_way(plan: Plan, state: AxisState, say: Callable[[str], None]) -> None:
+    """On a terminal each overwrites the one before."""
+    text = f"  {state.position:.3f} {plan.unit}, {state.velocity + 0.0:.3f} {plan.unit}/s"
+    say(f"{text}\033[K\033[A" if sys.stdout.isatty() else text)
 
 
 def _number(name: str, value: float | None) -> None:
