@@ -31,7 +31,9 @@ def add_parser(subparsers: Any) -> None:
     way.add_argument("--by", type=float, metavar="DIST", help="distance from here, mm or deg")
     way.add_argument("--home", action="store_true", help="find the reference; speed is the drive's own")
     parser.add_argument("--speed", type=float, metavar="S", help="mm/s or deg/s; slow where it is not given")
-    parser.add_argument("--limit", type=float, metavar="N", help="contact force of jack (10) or gun feed (25), newton")
+    parser.add_argument(
+        "--limit", type=float, metavar="N", help="a lower contact force than 10 N (jack), 25 N (gun feed)"
+    )
     parser.add_argument("--yes", action="store_true", help="do not ask")
     parser.set_defaults(run=run)
 
@@ -51,6 +53,8 @@ def run(args: argparse.Namespace) -> int:
         return refused("jog", error, args.json)
     if jogged is None:
         say("nothing was moved")
+        if args.json:
+            print(json.dumps({"axis": args.axis, "end": "declined"}))
         return 3
     say(f"{jogged.end}{f': {jogged.reason}' if jogged.reason else ''}; {jogged.rest}")
     if args.json:
@@ -68,7 +72,7 @@ async def jog(config: CellConfig, recipe: Path, wish: Wish, *, yes: bool, say: C
             async with guarded(cell, config, plan):
                 await refuse(cell, plan)
                 say(str(plan))
-                if not yes and not await agreed(halt):
+                if not (yes or await agreed(halt)) or halt.is_set():
                     return None
                 return await carry_out(cell, plan, halt, lambda state: _on_the_way(plan, state, say))
 

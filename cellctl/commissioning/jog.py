@@ -34,7 +34,7 @@ FEED_MM_S = 2.0
 FREE_TRIP_N = 50.0
 """Net force that stops the jack where nothing is there to be met."""
 LIMIT_N = {"jack": 10.0, "gun_feed": 25.0}
-"""Contact force that must not be exceeded, where no limit is asked for: a stud's, a socket's."""
+"""Contact force that must not be exceeded, of a stud and of a socket. A lower one may be asked for."""
 TARE_S = 0.5
 TELL_S = 0.5
 """Between two looks at a moving axis."""
@@ -109,11 +109,13 @@ async def plan_of(cell: Cell, config: CellConfig, wish: Wish) -> Plan:
         _within(axis.name, "position", target, limits.low, limits.high, axis.unit)
     onward = target != "home" and target > start.position
     in_reach = wish.axis == "jack" and target != "home" and target > config.envelope.free_mm
-    speed = wish.speed or _slow(wish.axis, limits.max_speed, in_reach=in_reach and onward)
+    slow = _slow(wish.axis, limits.max_speed, in_reach=in_reach and onward)
+    speed = slow if wish.speed is None else wish.speed
     _within(axis.name, "speed", speed, 0.0, limits.max_speed, f"{axis.unit}/s")
     trip = None
     if onward and wish.axis in WATCHES:
-        limit_n = wish.limit_n or LIMIT_N[wish.axis]
+        limit_n = LIMIT_N[wish.axis] if wish.limit_n is None else wish.limit_n
+        _within(axis.name, "force limit", limit_n, 0.0, LIMIT_N[wish.axis], "N")
         trip = limit_n if wish.axis == "gun_feed" else _jack_trip_n(config, limit_n, speed) if in_reach else FREE_TRIP_N
     return Plan(wish.axis, axis.unit, start, target, speed, trip)
 
@@ -232,7 +234,7 @@ def _slow(axis: AxisName, largest: float, *, in_reach: bool) -> float:
 
 
 def _within(device: str, what: str, value: float, low: float, high: float, unit: str) -> None:
-    if not low <= value <= high or (what == "speed" and not value > 0.0):
+    if not low <= value <= high or (what != "position" and value == 0.0):
         raise DeviceRefused(f"{what} {value:g} {unit} is refused (limit {low:g} to {high:g} {unit})", device=device)
 
 

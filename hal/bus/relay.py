@@ -76,12 +76,14 @@ class TcpRelay:
             while data := await reader.read(65536):
                 self._told.out(link, data)
                 device_writer.write(data)
+                await device_writer.drain()
             return "closed by the controller"
 
         async def inward() -> str:
             while data := await device_reader.read(65536):
                 self._told.came(link, data)
                 writer.write(data)
+                await writer.drain()
             return "closed by the device"
 
         ways = [asyncio.create_task(way()) for way in (outward, inward)]

@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
+import os
 from pathlib import Path
 
 import pytest
 
 from cellctl.__main__ import main
-from cellctl.cli import devices
+from cellctl.cli import devices, jog
+from cellctl.cli.options import PARTS
+from cellctl.commissioning.jog import Wish
+from hal.clock import run_virtual
+from hal.config import load_cell
 
 FAKE, WIRE = "deploy/cell.fake.toml", "deploy/cell.wire.toml"
+
+
+class Terminal(io.StringIO):
+    """Somebody sits there."""
+
+    def isatty(self) -> bool:
+        return True
 
 
 def test_devices_of_a_fake_cell(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -81,6 +94,65 @@ def test_a_jog_that_is_refused(
     answer = capsys.readouterr()
     assert told in answer.err
     assert told in json.loads(answer.out)["error"]["reason"]
+
+
+def test_a_watch_prints_again_and_again(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    async def case() -> None:
+        watching = asyncio.create_task(devices.looked(load_cell(root / FAKE), PARTS, 10.0))
+        await asyncio.sleep(35.0)
+        watching.cancel()
+        await asyncio.gather(watching, return_exceptions=True)
+
+    run_virtual(case())
+    assert capsys.readouterr().out.count("25 of 25 devices answer") == 4
+
+
+def test_a_jog_says_what_it_does(root: Path) -> None:
+    said: list[str] = []
+    done = run_virtual(jog.jog(load_cell(root / FAKE), PARTS, Wish("gun_feed"), yes=True, say=said.append))
+    assert done is not None
+    assert done.end == "arrived"
+    assert said[0] == "gun_feed: find its reference, from 0.000 mm"
+    assert said[1] == "  0.000 mm, 0.000 mm/s"
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("y\n", True), ("yes\n", True), ("n\n", False), ("\n", False), ("", False)]
+)
+def test_only_yes_is_yes(monkeypatch: pytest.MonkeyPatch, typed: str, meant: bool) -> None:
+    async def asked() -> bool:
+        return await jog.agreed(asyncio.Event())
+
+    ours, theirs = os.pipe()
+    with os.fdopen(ours) as terminal, os.fdopen(theirs, "w") as person:
+        monkeypatch.setattr("sys.stdin", terminal)
+        person.write(typed)
+        person.close()
+        assert asyncio.run(asked()) is typed.startswith("y")
+
+
+def test_who_ends_the_command_does_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def asked() -> bool:
+        halt = asyncio.Event()
+        halt.set()
+        return await jog.agreed(halt)
+
+    ours, theirs = os.pipe()
+    with os.fdopen(ours) as terminal, os.fdopen(theirs, "w"):
+        monkeypatch.setattr("sys.stdin", terminal)
+        assert asyncio.run(asked()) is False
+
+
+def test_a_jog_that_nobody_wants(
+    root: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def nobody(halt: asyncio.Event) -> bool:
+        return False
+
+    monkeypatch.setattr(jog, "agreed", nobody)
+    monkeypatch.setattr("sys.stdin", Terminal())
+    assert main(["jog", "gun_feed", "--home", "--cell", str(root / FAKE), "--json"]) == 3
+    assert json.loads(capsys.readouterr().out) == {"axis": "gun_feed", "end": "declined"}
 
 
 def test_a_jog_without_a_cell_file(capsys: pytest.CaptureFixture[str]) -> None:

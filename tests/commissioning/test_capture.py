@@ -124,6 +124,24 @@ def test_a_device_that_is_not_there_is_seen_by_its_controller(tmp_path: Path) ->
     on_wires(tmp_path, case)
 
 
+def test_a_link_that_is_lost_comes_back_through_the_relay(tmp_path: Path) -> None:
+    async def case(config: CellConfig, stand: Stand) -> None:
+        heard: list[Record] = []
+        async with tapped(config, bus_named(config, "heater"), heard.append) as tap, opened(tap.config, RECIPE) as cell:
+            assert (await survey(cell, tap.config, ["heater"]))[0].error == ""
+            (server,) = [one.server for one in stand.modbus if one.server.port == config.entries["heater"].port]
+            await server.close()
+            assert (await survey(cell, tap.config, ["heater"]))[0].error
+            await server.start()
+            await asyncio.sleep(3.0)
+            assert (await survey(cell, tap.config, ["heater"]))[0].error == ""
+        links = {record.link for record in heard if record.event == "opened"}
+        assert len(links) >= 2
+        assert "closed by the device" in {record.event for record in heard}
+
+    on_wires(tmp_path, case)
+
+
 def test_a_bus_goes_by_the_name_of_any_device_on_it(tmp_path: Path) -> None:
     async def case(config: CellConfig, stand: Stand) -> None:
         assert bus_named(config, "can") == bus_named(config, "jack")

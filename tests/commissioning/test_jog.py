@@ -78,6 +78,8 @@ def test_it_is_slow_where_no_speed_is_asked() -> None:
         (Wish("stage_x", to=15.5), r"stage_x: position 15.5 mm is refused \(limit -15 to 15 mm\)"),
         (Wish("stage_x", by=-20.0), r"position -20 mm .*limit -15"),
         (Wish("shaft_table", to=1.0, speed=11.0), r"shaft_table: speed 11 deg/s is refused \(limit 0 to 10 deg/s\)"),
+        (Wish("jack", to=370.0, limit_n=12.0), r"jack: force limit 12 N is refused \(limit 0 to 10 N\)"),
+        (Wish("stage_x", to=1.0, speed=0.0), r"speed 0 mm/s is refused"),
         (Wish("jack", to=370.0, speed=2.0), r"jack: above 360 mm .* 2 mm/s leaves a trip force of .* N \(limit >= "),
     ],
 )

@@ -30,8 +30,6 @@ from hal.real.modbus_devices import modbus_device
 ROOT = Path(__file__).parents[2]
 DEVICES = load_cell(ROOT / "deploy" / "cell.wire.toml").devices
 BEAT_S = 0.2
-TURNED = 30.0
-"""Degrees that the empty socket is turned back."""
 
 
 async def gun(where: str, program: TighteningProgram | None = None) -> TighteningResult:
@@ -87,7 +85,7 @@ async def force(where: str) -> ForceBlock:
         await device.close()
 
 
-async def axis(where: str) -> AxisState:
+async def axis(where: str, target: float = 0.5) -> AxisState:
     """Out of whatever stop it was in, home, half a millimetre."""
     entry = DEVICES.stage_x
     assert isinstance(entry, CanAxisEntry)
@@ -99,7 +97,7 @@ async def axis(where: str) -> AxisState:
         await device.connect()
         await device.rearm()
         await device.home()
-        state = await device.move_to(0.5, speed=2.0)
+        state = await device.move_to(target, speed=2.0)
         assert (await device.safe()).safe
         return state
     finally:

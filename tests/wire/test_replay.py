@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+import contextlib
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -77,18 +78,37 @@ def test_a_force_stream_is_read_as_recorded(tmp_path: Path) -> None:
     quick(main())
 
 
+@contextlib.asynccontextmanager
+async def stage_x() -> AsyncIterator[tuple[Replay, str]]:
+    """The recorded drive on a bus, and where that is."""
+    hub = CanHub()
+    await hub.start()
+    try:
+        async with on_can(records_of("axis"), hub) as replays:
+            yield replays[STAGE_X], str(hub.port)
+    finally:
+        await hub.close()
+
+
 def test_an_axis_on_can_moves_as_recorded() -> None:
     async def main() -> None:
-        hub = CanHub()
-        await hub.start()
-        try:
-            async with on_can(records_of("axis"), hub) as replays:
-                state = await replayed.axis(str(hub.port))
-                assert replays[STAGE_X].difference == ""
-                assert state.position == pytest.approx(0.5, abs=1e-6)
-                assert state.homed
-        finally:
-            await hub.close()
+        async with stage_x() as (replay, port):
+            state = await replayed.axis(port)
+            assert await ended(replay) == ""
+        assert state.position == pytest.approx(0.5, abs=1e-6)
+        assert state.homed
+
+    quick(main())
+
+
+def test_another_target_is_a_difference_at_its_frame() -> None:
+    async def main() -> None:
+        async with stage_x() as (replay, port):
+            with pytest.raises(DeviceError):
+                await replayed.axis(port, 0.75)
+            target = int(0.75 * 10_000).to_bytes(4, "little").hex().upper()
+            assert f"the controller says b't3018{target}" in await ended(replay)
+            assert replay.difference.startswith("line ")
 
     quick(main())
 
