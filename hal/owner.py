@@ -35,10 +35,9 @@ async def refuse_second_controller(config: CellConfig) -> None:
     periods_s = [entry.heartbeat_s for entry in config.entries.values() if isinstance(entry, CanAxisEntry)]
     if not periods_s or config.can is None:
         return
-    from hal.real.build import can_bus
+    from hal.bus.can import CanBus
 
-    bus = can_bus(config)
-    assert bus is not None, "there is a [can]"
+    bus = CanBus(config.can.described, node=config.can.node)
     heard = _Heard()
     try:
         await bus.open()

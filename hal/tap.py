@@ -76,12 +76,11 @@ async def tapped(config: CellConfig, bus: Bus, put: Put, listen: str = "") -> As
 
 
 async def _on_can(stack: AsyncExitStack, config: CellConfig, sink: _Sink) -> None:
-    from hal.real.build import can_bus
+    from hal.bus.can import CanBus
 
     assert config.can is not None, "the cell file was checked"
     sink.controller = config.can.node
-    can = can_bus(config)
-    assert can is not None, "there is a [can]"
+    can = CanBus(config.can.described)
     await can.open()
     stack.push_async_callback(can.release)
     for can_id in range(STANDARD_IDS):

@@ -84,14 +84,16 @@ class Jogged:
 
 
 async def reach(cell: Cell, axis: AxisName) -> None:
-    """Connect the axis, what its rules look at, and its force sensors. Raises CellFailure with all that failed.
+    """Connect the axis, what its rules look at, and its force sensors; a trip of the guard from before is cleared.
 
-    The other axes are connected where they can be: a trip of the guard halts them too.
+    The other axes are connected where they can be: a trip of the guard halts them too. Raises CellFailure with all
+    that failed, and what the guard has against being cleared.
     """
     needed = {axis, *NEEDED[axis], *WATCHES.get(axis, ())}
     failures = await connected(getattr(cell, name) for name in sorted(needed.union(AXES)))
     if wrong := {name: error for name, error in failures.items() if name in needed}:
         raise CellFailure("connect", wrong, len(needed))
+    await cell.guard.rearm()
 
 
 async def plan_of(cell: Cell, config: CellConfig, wish: Wish) -> Plan:
