@@ -6,6 +6,7 @@ This is the one place that knows backends; they are imported only where the cell
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from hal.config import CellConfig
 from hal.entries import CanAxisEntry, Devices, ForceLineEntry
-from hal.errors import ConfigError, DeviceError, DeviceTimeout, SafetyOpen
+from hal.errors import ConfigError, DeviceError, DeviceTimeout, NotConnected, SafetyOpen
 from hal.guard.heartbeat import Heartbeat
 from hal.guard.inloop import InLoopGuard
 from hal.interfaces import (
@@ -78,10 +79,11 @@ class CellFailure(DeviceError):
 
 
 class CellGuard(ForceGuard, Protocol):
-    """A force guard whose life ends with the cell's."""
+    """A force guard whose life is the cell's."""
 
     @property
     def alive(self) -> bool: ...
+    async def open(self) -> None: ...
     async def close(self) -> None: ...
 
 
@@ -129,6 +131,8 @@ class Cell:
         """
         if self.heartbeat is not None:
             self.heartbeat.start()
+        with contextlib.suppress(NotConnected):  # the devices behind it say so, with all others that failed
+            await self.guard.open()
         return await _all("connect", self.devices(), lambda device: device.connect())
 
     async def close(self) -> None:

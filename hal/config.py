@@ -27,12 +27,13 @@ class Delays(Section):
     where the guard runs: in the controller's loop, as a child of the controller, or as a service that the system
     starts. A guard of its own owns CAN adapter and jack force, is reached at `socket` (relative to the cell file; a
     folder in memory, as /run is, keeps the ring of samples beside it off the disk), and takes a controller that it does
-    not hear for `beat_ms` for dead.
+    not hear for `beat_ms`, or for `quiet_ms` while it is not armed, for dead.
     """
 
     process: Literal["in_loop", "child", "service"] = "in_loop"
     socket: Path = Path("guard.sock")
     beat_ms: float = Field(default=100.0, ge=10)
+    quiet_ms: float = Field(default=500.0, ge=10)
 
     stale_ms: float = Field(default=50.0, ge=5)
     sensor_s: Seconds = Field(default=0.002, ge=0)

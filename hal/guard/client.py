@@ -21,6 +21,9 @@ from hal.guard.sentry import NO_LIMITS
 from hal.interfaces import Axis, ForceBlock, ForceSensor, GuardLimits, GuardState
 from hal.latch import Latch
 
+START_S = 15.0
+"""A guard that is started as a child is there by then, on a busy machine, too."""
+
 
 class GuardClient:
     """`axes` are the bare axes; each has `halt_deadline_s` to acknowledge its halt.
@@ -41,12 +44,19 @@ class GuardClient:
         self._link, self._sensor, self._axes, self._latch = link, sensor, axes, latch
         self._halt_deadline_s = halt_deadline_s
         self._frozen_samples = frozen_samples
+        self._opened = False
         self._trip: Trip | None = None
         self._limits: GuardLimits | None = None
         self._state = GuardState(False, False, "", 0.0, 0.0, 0, 0.0)
         self._acting: asyncio.Task[None] | None = None
         self._windows: set[asyncio.Future[None]] = set()
-        link.on_told, link.on_lost = self._told, self._lost
+
+    async def open(self) -> None:
+        """Have the guard there before anything is asked of it. Raises NotConnected."""
+        if not self._opened:
+            self._link.on_told, self._link.on_lost = self._told, self._lost
+            await self._link.reached(within_s=START_S)
+            self._opened = True
 
     @property
     def alive(self) -> bool:
@@ -140,6 +150,9 @@ class GuardClient:
         """No task is left. The latch stays as it is."""
         self._link.on_told, self._link.on_lost = _nothing, _nothing
         await self._settle()
+        if self._opened:
+            self._opened = False
+            await self._link.release()
 
     # ------------------------------------------------------------ trips
 

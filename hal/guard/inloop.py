@@ -88,6 +88,9 @@ class InLoopGuard:
         self._task: asyncio.Task[None] | None = None
         self._time_s = 0.0
 
+    async def open(self) -> None:
+        """It is here already."""
+
     @property
     def alive(self) -> bool:
         """Whether it does what it is there for. A guard whose reading broke off while it had to act does not."""

@@ -85,13 +85,13 @@ class GuardLink:
 
     # ------------------------------------------------------------ life
 
-    async def reached(self, *, bus: bool = False) -> None:
+    async def reached(self, *, bus: bool = False, within_s: float = OPEN_S) -> None:
         """One more user; returns once the guard (and with `bus` its adapter) is there. Raises NotConnected."""
         self._users += 1
         if self._monitor is None:
             self._monitor = asyncio.get_running_loop().create_task(self._run(), name="guard link")
         try:
-            async with asyncio.timeout(OPEN_S):
+            async with asyncio.timeout(within_s):
                 while self.told is None or (bus and self.told.bus):
                     self._news.clear()
                     await self._news.wait()

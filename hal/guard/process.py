@@ -61,6 +61,7 @@ class GuardProcess:
             self._stop,
             self._tell,
             beat_s=config.guard.beat_ms * 1e-3,
+            quiet_s=config.guard.quiet_ms * 1e-3,
             consumer_s=CONSUMER_FACTOR * beat_s,
             frozen_samples=config.guard.frozen_samples,
         )

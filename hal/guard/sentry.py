@@ -20,9 +20,9 @@ NO_LIMITS = GuardLimits("idle", tare_n=0.0, trip_n=math.inf, low_n=-math.inf, st
 class Sentry:
     """`stop` sends a quick stop to every drive; `tell` tells the controller what there is to know.
 
-    The controller is dead where it is not heard for `beat_s`: while armed that is a trip; at other times the drives'
-    heartbeat is withheld. Drives that got none for `consumer_s` stop by themselves, and what stopped by itself must
-    not be started by a frame that was still under way: from then on the gate is latched, too.
+    A controller that is not heard is dead: after `beat_s` while armed, which is a trip; after `quiet_s` at other times,
+    when the drives' heartbeat is withheld. Drives that got none for `consumer_s` stop by themselves, and what stopped
+    by itself must not be started by a frame that was still under way: from then on the gate is latched, too.
     """
 
     def __init__(
@@ -31,6 +31,7 @@ class Sentry:
         tell: Callable[[], None],
         *,
         beat_s: float,
+        quiet_s: float,
         consumer_s: float,
         frozen_samples: int = 0,
     ) -> None:
@@ -40,7 +41,7 @@ class Sentry:
         self.proven = False
         """Whether a sample was looked at since `arm`."""
         self._stop, self._tell = stop, tell
-        self._beat_limit_s, self._consumer_s = beat_s, consumer_s
+        self._beat_limit_s, self._quiet_s, self._consumer_s = beat_s, quiet_s, consumer_s
         self._watch = Watch(NO_LIMITS, frozen_samples)
         self._armed_s = 0.0
         self._newest_s = self._beat_s = self._sent_s = -math.inf
@@ -123,7 +124,7 @@ class Sentry:
     def heartbeat_due(self, now: float) -> bool:
         """Whether the drives may be told that the controller lives."""
         self.look(now)
-        return now - self._beat_s <= self._beat_limit_s
+        return now - self._beat_s <= self._quiet_s
 
     def heartbeat_sent(self, now: float) -> None:
         """They were told."""
