@@ -18,8 +18,10 @@ from hal.bus.can import CanBus
 from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
 from hal.guard.files import lock_beside
-from hal.guard.priority import never_wait
 from hal.guard.process import GuardProcess
+from hal.priority import never_paused, real_time
+
+REAL_TIME = 50
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -58,7 +60,8 @@ async def guard(config: CellConfig, *, child: bool) -> None:
     assert config.can is not None, "the cell file was checked"
     process = GuardProcess(config, CanBus(config.can.described, node=config.can.node))
     await process.start()
-    never_wait()
+    never_paused()
+    real_time(REAL_TIME)
     if child:
         loop.add_reader(sys.stdin.fileno(), _at_the_end, ended)
     try:

@@ -26,6 +26,7 @@ from hal.config import CellConfig
 from hal.entries import CanAxisEntry, CanEntry, ForceLineEntry
 from hal.errors import CellError, DeviceError, NotConnected
 from hal.guard.files import ring_beside
+from hal.guard.logic import Trip
 from hal.guard.ring import RingWriter
 from hal.guard.sentry import Sentry
 from hal.guard.server import Server
@@ -70,7 +71,7 @@ class GuardProcess:
         self._sensor_error: DeviceError | None = NotConnected("not connected yet", device="jack_force")
         socket = config.beside(config.guard.socket)
         socket.parent.mkdir(parents=True, exist_ok=True)
-        self._server = Server(socket, self._came, self._left, self._message)
+        self.server = Server(socket, self._came, self._left, self._message)
         self._ring = RingWriter(ring_beside(socket))
         self._arming: list[int] = []
         self._watches: list[Any] = []
@@ -80,7 +81,7 @@ class GuardProcess:
 
     async def start(self) -> None:
         """Listen, and have adapter and sensor as soon as they are there. Raises OSError: the socket cannot be had."""
-        await self._server.start()
+        await self.server.start()
         self._bus.ears.every(self)
         self._spawn(self._tend_bus())
         self._spawn(self._tend_sensor())
@@ -88,8 +89,8 @@ class GuardProcess:
 
     async def close(self) -> None:
         """Stop the drives, give everything back; no task is left."""
-        self.sentry.gone()
-        await self._server.close()
+        self.sentry.latch(Trip("the guard was shut down"))
+        await self.server.close()
         for timer in (self._timer, self._next_cycle):
             if timer is not None:
                 timer.cancel()
@@ -143,7 +144,7 @@ class GuardProcess:
 
     def frame(self, frame: CanFrame) -> None:
         """A frame of the bus, for the controller."""
-        self._server.send(wire.encode_frame(frame, self.sentry.gate.epoch))
+        self.server.send(wire.encode_frame(frame, self.sentry.gate.epoch))
 
     def down(self, reason: str) -> None:
         """The adapter is lost, or back and lost."""
@@ -256,7 +257,7 @@ class GuardProcess:
 
     def _answer(self, tag: int, error: CellError | None = None, **values: Any) -> None:
         told = {"tag": tag, "error": error.code, "reason": error.reason} if error else {"tag": tag, "is": values}
-        self._server.send(wire.encode_object(Kind.ANSWER, told))
+        self.server.send(wire.encode_object(Kind.ANSWER, told))
 
     def _tell(self) -> None:
         """What the guard knows; then the answers to those who wait for a first sample, or for a trip."""
@@ -267,7 +268,7 @@ class GuardProcess:
             "bus": self._bus.trouble,
             "sensor": [error.code, error.reason] if error else None,
         }
-        self._server.send(wire.encode_object(Kind.STATE, told))
+        self.server.send(wire.encode_object(Kind.STATE, told))
         if self._arming and (sentry.trip is not None or sentry.proven or not sentry.armed):
             for tag in self._arming:
                 self._answer(tag)

@@ -55,6 +55,8 @@ class RingWriter:
 
     def close(self) -> None:
         """Take the file away; readers keep what they have."""
+        if self._memory.closed:
+            return
         del self._slots, self._head
         self._memory.close()
         self.path.unlink(missing_ok=True)

@@ -52,6 +52,7 @@ class Guarded:
     link: GuardLink
     config: CellConfig
     hub: CanHub
+    beats: Heartbeat
 
 
 @contextlib.asynccontextmanager
@@ -66,11 +67,12 @@ async def guarded(folder: Path, **entries: Any) -> AsyncIterator[Guarded]:
     beats = Heartbeat(link.beat, lambda: True, 0.02)
     await process.start()
     beats.start()
+    guard = Guarded(process, link, config, hub, beats)
     try:
-        yield Guarded(process, link, config, hub)
+        yield guard
     finally:
         await beats.close()
-        await process.close()
+        await guard.process.close()
         await hub.close()
 
 
