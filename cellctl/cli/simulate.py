@@ -15,9 +15,13 @@ from cellctl.signals import ending
 from hal.addresses import buses
 from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
+from hal.priority import real_time
 
 if TYPE_CHECKING:
     from hal.fake.faults import Fault
+
+REAL_TIME = 10
+"""Devices do not wait for a busy desk."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -65,6 +69,7 @@ async def simulate(config: CellConfig, recipe: Recipe, seed: int, faults: tuple[
             for where, names in buses(config).items():
                 print(f"{where:40} {', '.join(names)}")
             print(f"twin of {recipe.recipe.id}, seed {seed}, level {config.twin.level}; Ctrl-C ends", flush=True)
+            real_time(REAL_TIME)
             ended = asyncio.Event()
             with ending(ended.set):
                 await ended.wait()
