@@ -30,10 +30,11 @@ class _Heard:
 async def refuse_second_controller(config: CellConfig) -> None:
     """Listen for as long as the drives would wait for their controller. Raises DeviceRefused where one is heard.
 
-    Nothing is sent but what opening the adapter needs. An adapter that cannot be opened is not this question's matter.
+    Nothing is sent but what opening the adapter needs. An adapter that cannot be opened is not this question's matter,
+    nor is one that a guard of the system's owns: that guard itself takes no second controller.
     """
     periods_s = [entry.heartbeat_s for entry in config.entries.values() if isinstance(entry, CanAxisEntry)]
-    if not periods_s or config.can is None:
+    if not periods_s or config.can is None or config.guard.process == "service":
         return
     from hal.bus.can import CanBus
 

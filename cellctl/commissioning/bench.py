@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hal.cell import EXCHANGE_DEADLINE_S, Cell, build_cell
 from hal.config import CellConfig
-from hal.errors import CellError, DeviceTimeout
+from hal.errors import CellError, DeviceTimeout, NotConnected
 from hal.interfaces import Device
 from hal.owner import refuse_second_controller
 
@@ -25,6 +25,8 @@ async def opened(config: CellConfig, recipe: Path) -> AsyncIterator[Cell]:
     if cell.heartbeat is not None:
         cell.heartbeat.start()
     try:
+        with contextlib.suppress(NotConnected):  # the devices behind it say so
+            await cell.guard.open()
         yield cell
     finally:
         await cell.close()
