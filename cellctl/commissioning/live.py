@@ -124,12 +124,11 @@ def spoken(values: Mapping[str, Value]) -> str:
 
 
 def _spoken(name: str, value: Value) -> str:
+    unit = next((one for one in sorted(UNITS, key=len, reverse=True) if name.endswith(f"_{one}")), "")
+    word = name.removesuffix(f"_{unit}") if unit else name
     if value is None:
-        return f"{name} unknown"
-    for ending in sorted(UNITS, key=len, reverse=True):
-        if name.endswith(f"_{ending}"):
-            return f"{name.removesuffix(f'_{ending}')} {_number(value)} {UNITS[ending]}"
-    return f"{name} {_number(value)}"
+        return f"{word} unknown"
+    return f"{word} {_number(value)} {UNITS[unit]}" if unit else f"{word} {_number(value)}"
 
 
 def _number(value: Value) -> str:

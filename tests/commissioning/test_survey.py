@@ -122,6 +122,4 @@ def test_values_are_spoken_with_their_units() -> None:
         "gap_mm": None,
         "nuts": 4,
     }
-    assert spoken(values) == (
-        "position 0.000 mm, velocity 1.250 deg/s, force 981.2 N, homed yes, gap_mm unknown, nuts 4"
-    )
+    assert spoken(values) == ("position 0.000 mm, velocity 1.250 deg/s, force 981.2 N, homed yes, gap unknown, nuts 4")

@@ -15,11 +15,9 @@ import asyncio
 import contextlib
 import sys
 from collections.abc import Awaitable, Callable, Mapping
-from pathlib import Path
 
 from hal.bus.can import CanBus
 from hal.bus.modbus import Lines
-from hal.config import load_cell
 from hal.entries import CanAxisEntry, ForceLineEntry, ModbusHeaterEntry, OpenProtocolEntry
 from hal.interfaces import AxisState, ForceBlock, HeaterState, TighteningProgram, TighteningResult
 from hal.real.axes import CanAxis
@@ -27,19 +25,41 @@ from hal.real.force import SerialForceSensor
 from hal.real.gun import OpenProtocolGun
 from hal.real.modbus_devices import modbus_device
 
-ROOT = Path(__file__).parents[2]
-DEVICES = load_cell(ROOT / "deploy" / "cell.wire.toml").devices
+STAGE_X = CanAxisEntry(
+    kind="canopen",
+    node=1,
+    low=-15.0,
+    high=15.0,
+    max_speed=5.0,
+    max_acceleration=20.0,
+    encoder_increments=10_000,
+    feed=100_000,
+    homing_method=19,
+    pdo_s=0.1,
+    heartbeat_s=0.5,
+)
+SNUG = TighteningProgram(
+    stage="snug",
+    target_torque_nm=10.0,
+    torque_low_nm=9.0,
+    torque_high_nm=11.0,
+    angle_low_deg=0.0,
+    angle_high_deg=720.0,
+    threshold_torque_nm=6.0,
+    speed_rpm=60.0,
+    timeout_s=30.0,
+)
+"""Like the entries here: what the devices were set to then, whatever the example files say."""
 BEAT_S = 0.2
 
 
-async def gun(where: str, program: TighteningProgram | None = None) -> TighteningResult:
+async def gun(where: str, program: TighteningProgram = SNUG) -> TighteningResult:
     """One tightening with its curves; the key is fixed, as everything that the controller says."""
-    entry = DEVICES.gun_a
-    assert isinstance(entry, OpenProtocolEntry)
-    device = OpenProtocolGun("gun_a", entry.model_copy(update={"host": "127.0.0.1", "port": int(where)}))
+    entry = OpenProtocolEntry(kind="open_protocol", host="127.0.0.1", port=int(where), estop_alarms=("E504",))
+    device = OpenProtocolGun("gun_a", entry)
     try:
         await device.connect()
-        result = await device.tighten("capture-1", program or snug())
+        result = await device.tighten("capture-1", program)
         assert await device.result("capture-1") is not None
         assert (await device.safe()).safe
         return result
@@ -47,20 +67,10 @@ async def gun(where: str, program: TighteningProgram | None = None) -> Tightenin
         await device.close()
 
 
-def snug() -> TighteningProgram:
-    """The first stage of the recipe whose parameter sets the controller has."""
-    from cellctl.gun_programs import programs_of
-    from cellctl.recipe import load_recipe
-
-    recipe = load_recipe(ROOT / "recipes" / "lpt_shaft_36.toml")
-    return next(one for one in programs_of(recipe.tighten) if isinstance(one, TighteningProgram))
-
-
 async def heater(where: str) -> HeaterState:
     """Heat a little and switch off."""
-    entry = DEVICES.heater
-    assert isinstance(entry, ModbusHeaterEntry)
-    device = modbus_device("heater", entry.model_copy(update={"host": "127.0.0.1", "port": int(where)}), Lines())
+    entry = ModbusHeaterEntry(kind="modbus", port=int(where), unit=1, max_power_w=4000.0, watchdog_s=5.0)
+    device = modbus_device("heater", entry, Lines())
     try:
         await device.connect()
         await device.rearm()
@@ -75,9 +85,8 @@ async def heater(where: str) -> HeaterState:
 
 async def force(where: str) -> ForceBlock:
     """A quarter of a second of samples."""
-    entry = DEVICES.gun_force_a
-    assert isinstance(entry, ForceLineEntry)
-    device = SerialForceSensor("gun_force_a", entry.model_copy(update={"path": where}))
+    entry = ForceLineEntry(kind="force_line", path=where, rate_hz=100.0, range_n=200.0)
+    device = SerialForceSensor("gun_force_a", entry)
     try:
         await device.connect()
         return await device.block(25)
@@ -87,11 +96,9 @@ async def force(where: str) -> ForceBlock:
 
 async def axis(where: str, target: float = 0.5) -> AxisState:
     """Out of whatever stop it was in, home, half a millimetre."""
-    entry = DEVICES.stage_x
-    assert isinstance(entry, CanAxisEntry)
     options = {"channel": f"socket://127.0.0.1:{where}", "bitrate": 1_000_000, "sleep_after_open": 0.0}
     bus = CanBus({"interface": "slcan", **options})
-    device = CanAxis("stage_x", "mm", entry, bus)
+    device = CanAxis("stage_x", "mm", STAGE_X, bus)
     beats = asyncio.create_task(_beat(bus), name="beats")
     try:
         await device.connect()

@@ -116,7 +116,7 @@ def test_another_target_is_a_difference_at_its_frame() -> None:
 def test_the_first_difference_is_told_with_its_place() -> None:
     async def main() -> None:
         async with on_tcp(records_of("gun")) as (replay, port):
-            program = replace(replayed.snug(), stage="another")
+            program = replace(replayed.SNUG, stage="another")
             with pytest.raises(DeviceError, match="no parameter set tells"):
                 await replayed.gun(str(port), program)
             assert "line" in await ended(replay)
