@@ -117,9 +117,12 @@ async def _on_tcp(stack: AsyncExitStack, config: CellConfig, bus: Bus, sink: _Si
 
 
 def _elsewhere(config: CellConfig, bus: Bus, changes: dict[str, Any]) -> CellConfig:
-    """The cell with the devices of `bus` at another address."""
+    """The cell with the devices of `bus` at another address. A guard process would read the file's own: none here."""
     moved = {name: config.entries[name].model_copy(update=changes) for name in bus.devices}
-    return config.model_copy(update={"devices": config.devices.model_copy(update=moved)})
+    devices = config.devices.model_copy(update=moved)
+    return config.model_copy(
+        update={"devices": devices, "guard": config.guard.model_copy(update={"process": "in_loop"})}
+    )
 
 
 class _Sink:
