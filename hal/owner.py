@@ -1,9 +1,12 @@
-"""Whether somebody else controls the drives. Their bus tells: a controller at work sends its heartbeat."""
+"""Whether somebody else controls the drives. Their bus tells: a controller at work sends its heartbeat. Two that come
+at the same moment do not hear each other yet: on one machine a lock on the cell file keeps them apart."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections.abc import Iterator
+from pathlib import Path
 
 from hal.codec.cia301 import HEARTBEAT
 from hal.codec.lawicel import CanFrame
@@ -12,6 +15,22 @@ from hal.entries import CanAxisEntry
 from hal.errors import DeviceRefused, NotConnected
 
 MARGIN_S = 0.1
+
+
+@contextlib.contextmanager
+def sole_user(cell_file: Path) -> Iterator[None]:
+    """Hold the cell file while devices are in hand. Raises DeviceRefused where another command holds it."""
+    with contextlib.ExitStack() as stack:
+        try:
+            import fcntl
+
+            file = stack.enter_context(cell_file.open("rb"))
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DeviceRefused(f"{cell_file.name}: another command has this cell's devices in hand") from None
+        except (ImportError, OSError):
+            pass  # no such locks on this system, or no file: the heartbeat must do
+        yield
 
 
 class _Heard:

@@ -11,7 +11,7 @@ from hal.cell import EXCHANGE_DEADLINE_S, Cell, build_cell
 from hal.config import CellConfig
 from hal.errors import CellError, DeviceTimeout, NotConnected
 from hal.interfaces import Device
-from hal.owner import refuse_second_controller
+from hal.owner import refuse_second_controller, sole_user
 
 
 @contextlib.asynccontextmanager
@@ -20,16 +20,19 @@ async def opened(config: CellConfig, recipe: Path) -> AsyncIterator[Cell]:
 
     Raises ConfigError, and DeviceRefused where another controller has the drives.
     """
-    await refuse_second_controller(config)
-    cell = _built(config, recipe)
-    if cell.heartbeat is not None:
-        cell.heartbeat.start()
-    try:
-        with contextlib.suppress(NotConnected):  # the devices behind it say so
-            await cell.guard.open()
-        yield cell
-    finally:
-        await cell.close()
+    with contextlib.ExitStack() as stack:
+        if set(config.kinds.values()) != {"fake"}:  # those live in this process
+            stack.enter_context(sole_user(config.path))
+        await refuse_second_controller(config)
+        cell = _built(config, recipe)
+        if cell.heartbeat is not None:
+            cell.heartbeat.start()
+        try:
+            with contextlib.suppress(NotConnected):  # the devices behind it say so
+                await cell.guard.open()
+            yield cell
+        finally:
+            await cell.close()
 
 
 def _built(config: CellConfig, recipe: Path) -> Cell:

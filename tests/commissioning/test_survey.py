@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 import pytest
@@ -109,6 +110,27 @@ def test_a_bus_that_has_a_controller_gets_no_second_one(tmp_path: Path) -> None:
                     pass
         async with opened(config, RECIPE):
             pass
+
+    on_wires(tmp_path, case)
+
+
+def test_two_commands_that_come_at_once_are_kept_apart(tmp_path: Path) -> None:
+    async def case(config: CellConfig, stand: Stand) -> None:
+        config.path.parent.mkdir(exist_ok=True)
+        config.path.write_text("# held while devices are in hand", encoding="utf-8")
+
+        async def one() -> str:
+            try:
+                async with opened(config, RECIPE) as cell:
+                    await cell.stage_x.connect()
+            except DeviceRefused as error:
+                return error.reason
+            return ""
+
+        first, second = await asyncio.gather(one(), one())
+        assert first == ""
+        assert second == "cell.wire.toml: another command has this cell's devices in hand"
+        assert await one() == ""
 
     on_wires(tmp_path, case)
 
