@@ -14,11 +14,12 @@ import socket
 import sys
 import tempfile
 from asyncio.subprocess import PIPE, Process
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
+from types import MappingProxyType
 from typing import Literal
 
 from cellctl.gun_programs import programs_of
@@ -47,6 +48,7 @@ DESK_S = 0.05
 """What a busy desk may add: the simulators' own loop is no drive."""
 DROP_MM = 0.05
 REAL_TIME = 10
+NO_PORTS: Mapping[int, int] = MappingProxyType({})
 
 
 @dataclass(slots=True)
@@ -69,23 +71,25 @@ def moment(number: int) -> tuple[str, str]:
 
 async def _moment(draw: Random, victim: Victim, signal_: signal.Signals) -> str:
     with tempfile.TemporaryDirectory(prefix="dead-", dir="/tmp") as folder:
-        config = _cell(Path(folder))
+        config = cell_in(Path(folder))
         recipe = load_recipe(RECIPE)
         now = asyncio.get_running_loop().time()
         twin = twin_of(recipe, config, InlineJobs(), seed=draw.randrange(1000), now=now)
         programs = programs_of(recipe.tighten)
         async with (
             standing(config, twin.plant, twin.faults, twin.render, programs) as stand,
-            _running("hal.guard", "--cell", str(config.path)) as guard,
-            _running("tests.dead.controller", str(config.path)) as controller,
+            _running(Path(folder), "hal.guard", "--cell", str(config.path)) as guard,
+            _running(Path(folder), "tests.dead.controller", str(config.path)) as controller,
         ):
             real_time(REAL_TIME)
             assert controller.stdout is not None
             async with asyncio.timeout(READY_S):
                 said = await controller.stdout.readline()
             if said != b"ready\n":
-                return f"the controller said {said!r}"
+                return f"the controller was not ready: {_last_line(Path(folder))}"
             await asyncio.sleep(draw.uniform(0.2, 2.0))
+            if controller.returncode is not None or guard.returncode is not None:
+                return f"ended by itself: {_last_line(Path(folder))}"
             dead = controller if victim == "controller" else guard
             dead.send_signal(signal_)
             seen = await _watched(config, twin.plant, stand, victim)
@@ -95,15 +99,15 @@ async def _moment(draw: Random, victim: Victim, signal_: signal.Signals) -> str:
         return "; ".join(_wrong(config, seen, victim))
 
 
-def _cell(folder: Path) -> CellConfig:
-    """The wire cell as a file in `folder`, at free ports, its guard a service there."""
+def cell_in(folder: Path, ports: Mapping[int, int] = NO_PORTS) -> CellConfig:
+    """The wire cell as a file in `folder`, at free ports but for those in `ports`, its guard a service there."""
     text = CELL.read_text(encoding="utf-8")
     with ExitStack() as stack:
         for port in (4401, 4545, 4546, 5021, 5022):
             free = stack.enter_context(socket.socket())
             free.bind(("127.0.0.1", 0))
-            text = text.replace(f':{port}"', f':{free.getsockname()[1]}"')
-            text = text.replace(f"port = {port}\n", f"port = {free.getsockname()[1]}\n")
+            other = ports.get(port, free.getsockname()[1])
+            text = text.replace(f':{port}"', f':{other}"').replace(f"port = {port}\n", f"port = {other}\n")
     text = text.replace('file = "calibration', f'file = "{ROOT}/deploy/calibration')
     text = text.replace('process = "child" ', 'process = "service" ').replace("../data/wire/", "./")
     path = folder / "cell.toml"
@@ -112,16 +116,24 @@ def _cell(folder: Path) -> CellConfig:
 
 
 @contextlib.asynccontextmanager
-async def _running(module: str, *arguments: str) -> AsyncIterator[Process]:
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", module, *arguments, cwd=ROOT, stdout=PIPE, stderr=asyncio.subprocess.DEVNULL
-    )
+async def _running(folder: Path, module: str, *arguments: str) -> AsyncIterator[Process]:
+    with (folder / "said").open("ab") as said:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", module, *arguments, cwd=ROOT, stdout=PIPE, stderr=said
+        )
     try:
         yield process
     finally:
         with contextlib.suppress(ProcessLookupError):
             process.kill()
         await process.wait()
+
+
+def _last_line(folder: Path) -> str:
+    """What was said last, with the errors of the one that ended."""
+    lines = (folder / "said").read_text(encoding="utf-8", errors="replace").splitlines()
+    errors = [line.strip(" |") for line in lines if "hal.errors" in line]
+    return (errors or lines or ["nothing"])[-1]
 
 
 async def _watched(config: CellConfig, plant: Plant, stand: Stand, victim: Victim) -> Seen:
