@@ -206,7 +206,7 @@ def _patient(cell: CellConfig) -> CellConfig:
     """The same cell, whose guard trips on force alone, however long it is kept waiting."""
     text = cell.path.read_text(encoding="utf-8").replace("heartbeat_s = 0.1 ", "heartbeat_s = 10.0 ")
     text = text.replace("heartbeat_s = 0.1\n", "heartbeat_s = 10.0\n")
-    text = text.replace("stale_ms = 50.0", "beat_ms = 10000.0\nquiet_ms = 10000.0\nstale_ms = 10000.0")
+    text = text.replace("stale_ms = 150.0", "beat_ms = 10000.0\nquiet_ms = 10000.0\nstale_ms = 10000.0")
     cell.path.write_text(text, encoding="utf-8")
     return load_cell(cell.path)
 
