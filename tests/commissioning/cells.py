@@ -43,7 +43,7 @@ def on_fakes(case: Callable[[FakeCell], Awaitable[None]], *faults: Fault, home: 
     run_virtual(alone(main()))
 
 
-def on_wires(folder: Path, case: Callable[[CellConfig, Stand], Awaitable[None]], speed: float = 50.0) -> None:
+def on_wires(folder: Path, case: Callable[[CellConfig, Stand], Awaitable[None]], speed: float = 20.0) -> None:
     """Run `case` beside the simulators of a whole wire cell; no task may be left."""
 
     async def main() -> None:
