@@ -88,6 +88,11 @@ class CanEntry(Section):
     node: int = Field(default=127, ge=1, le=127)
     options: dict[str, str | int | float | bool] = Field(default_factory=dict)
 
+    @property
+    def described(self) -> dict[str, str | int | float | bool]:
+        """The adapter, as python-can takes it."""
+        return {"interface": self.interface, "channel": self.channel, "bitrate": self.bitrate, **self.options}
+
 
 AnyAxisEntry = Annotated[AxisEntry | CanAxisEntry, BY_KIND]
 

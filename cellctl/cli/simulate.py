@@ -6,18 +6,22 @@ import argparse
 import asyncio
 import logging
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellctl.recipe import Recipe, load_recipe
 from cellctl.signals import ending
+from hal.addresses import buses
 from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
+from hal.priority import real_time
 
 if TYPE_CHECKING:
     from hal.fake.faults import Fault
+
+REAL_TIME = 10
+"""Devices do not wait for a busy desk."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -69,9 +73,10 @@ async def simulate(
             standing(config, twin.plant, twin.faults, twin.render, programs_of(recipe.tighten)),
             keeping_truth(truth, twin.plant, truth_limits(recipe)),
         ):
-            for where, names in addresses(config).items():
+            for where, names in buses(config).items():
                 print(f"{where:40} {', '.join(names)}")
             print(f"twin of {recipe.recipe.id}, seed {seed}, level {config.twin.level}; Ctrl-C ends", flush=True)
+            real_time(REAL_TIME)
             ended = asyncio.Event()
             with ending(ended.set):
                 await ended.wait()
@@ -80,19 +85,3 @@ async def simulate(
 def from_now(faults: tuple[Fault, ...], now: float) -> tuple[Fault, ...]:
     """Faults at seconds from the start, on this machine's clock."""
     return tuple(replace(fault, at_s=fault.at_s + now) for fault in faults)
-
-
-def addresses(config: CellConfig) -> Mapping[str, list[str]]:
-    """Names of the devices by where they are reached; fakes are reached nowhere."""
-    found: dict[str, list[str]] = {}
-    for name, entry in config.entries.items():
-        if entry.kind == "canopen" and config.can is not None:
-            where = f"CAN {config.can.channel}"
-        elif path := getattr(entry, "port_path", "") or getattr(entry, "path", "") or getattr(entry, "folder", ""):
-            where = str(config.beside(path))
-        elif host := getattr(entry, "host", ""):
-            where = f"{entry.kind} {host}:{entry.port}"
-        else:
-            continue
-        found.setdefault(where, []).append(name)
-    return found

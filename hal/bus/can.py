@@ -14,11 +14,11 @@ import logging
 import select
 import socket
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import can
 
+from hal.bus.ears import Ears, Listener
 from hal.clock import standing_still
 from hal.codec.cia301 import heartbeat
 from hal.codec.lawicel import CanFrame
@@ -44,35 +44,6 @@ BUS_OFF = 0x40
 _LIBRARY = (can.CanError, OSError)
 
 
-class Listener(Protocol):
-    """Who gets frames."""
-
-    def frame(self, frame: CanFrame) -> None: ...
-    def down(self, reason: str) -> None:
-        """The link is lost; frames may have been missed."""
-        ...
-
-
-class Link(Protocol):
-    """What a node needs of a bus: the adapter in this process, or a client of whoever owns it."""
-
-    async def open(self) -> None: ...
-    async def release(self) -> None: ...
-    def send(self, frame: CanFrame) -> None: ...
-    def subscribe(self, can_id: int, listener: Listener) -> Callable[[], None]: ...
-    def watch(self, can_id: int, within_s: float, lost: Callable[[], None]) -> Callable[[], None]: ...
-
-
-@dataclass(slots=True, eq=False)
-class _Watch:
-    """A receive deadline; `heard_s` is None until the identifier is heard first, and once it is lost."""
-
-    can_id: int
-    within_s: float
-    lost: Callable[[], None]
-    heard_s: float | None = None
-
-
 class CanBus:
     """The adapter described by `options` (python-can's own: interface, channel, bitrate, ...), shared by its nodes.
 
@@ -92,11 +63,14 @@ class CanBus:
         self._closing = asyncio.Event()
         self._wake = asyncio.Event()
         self._trouble = "not opened"
-        self._listeners: dict[int, list[Listener]] = {}
-        self._watches: list[_Watch] = []
-        self._heard_s = 0.0
+        self.ears = Ears()
         self.corrupt = 0
         """Lines or frames that could not be read."""
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing can be sent; empty while the adapter is open."""
+        return "" if self._adapter is not None else self._trouble or "closed"
 
     # ------------------------------------------------------------ life
 
@@ -167,7 +141,7 @@ class CanBus:
     async def _poll(self, adapter: can.BusABC) -> None:
         """Stay until the adapter fails or the bus is closed."""
         loop = asyncio.get_running_loop()
-        self._trouble, self._adapter, self._heard_s = "", adapter, loop.time()
+        self._trouble, self._adapter, self.ears.heard_s = "", adapter, loop.time()
         self._wake.clear()
         file = _descriptor(adapter)
         if file is not None:
@@ -188,11 +162,7 @@ class CanBus:
     def _lose(self) -> None:
         self._adapter = None
         self._opened.clear()
-        for watch in self._watches:
-            watch.heard_s = None
-        reason = self._trouble or "closed"
-        for listener in {id(one): one for many in self._listeners.values() for one in many}.values():
-            listener.down(reason)
+        self.ears.down(self._trouble or "closed")
 
     # ------------------------------------------------------------ frames
 
@@ -219,14 +189,11 @@ class CanBus:
 
     def subscribe(self, can_id: int, listener: Listener) -> Callable[[], None]:
         """Hand frames with `can_id` to `listener`; returns what ends that."""
-        self._listeners.setdefault(can_id, []).append(listener)
-        return lambda: self._listeners[can_id].remove(listener)
+        return self.ears.subscribe(can_id, listener)
 
     def watch(self, can_id: int, within_s: float, lost: Callable[[], None]) -> Callable[[], None]:
         """Call `lost` once whenever `can_id`, heard before, is not heard within `within_s`; returns what ends that."""
-        watch = _Watch(can_id, within_s, lost)
-        self._watches.append(watch)
-        return lambda: self._watches.remove(watch)
+        return self.ears.watch(can_id, within_s, lost, asyncio.get_running_loop().time())
 
     def _drain(self, adapter: can.BusABC, file: int | None) -> None:
         """Whatever the adapter holds, without waiting."""
@@ -252,20 +219,12 @@ class CanBus:
         if len(message.data) != (0 if message.is_remote_frame else message.dlc):
             self.corrupt += 1  # a line that was cut short
             return
-        self._heard_s = asyncio.get_running_loop().time()
         frame = CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_remote_frame)
-        for watch in self._watches:
-            if watch.can_id == frame.can_id:
-                watch.heard_s = self._heard_s
-        for listener in tuple(self._listeners.get(frame.can_id, ())):
-            listener.frame(frame)
+        self.ears.heard(frame, asyncio.get_running_loop().time())
 
     def _look(self, now: float) -> None:
-        for watch in tuple(self._watches):
-            if watch.heard_s is not None and now - watch.heard_s > watch.within_s:
-                watch.heard_s = None
-                watch.lost()
-        if self._watches and now - self._heard_s > SILENCE_S:
+        self.ears.look(now)
+        if self.ears.watching and now - self.ears.heard_s > SILENCE_S:
             self._fail(f"nothing heard for {SILENCE_S:g} s")
 
     def _fail(self, reason: str) -> None:
