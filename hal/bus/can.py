@@ -14,6 +14,7 @@ import logging
 import select
 import socket
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import can
@@ -21,7 +22,7 @@ import can
 from hal.bus.ears import Ears, Listener
 from hal.clock import standing_still
 from hal.codec.cia301 import heartbeat
-from hal.codec.lawicel import CanFrame
+from hal.codec.lawicel import CanFrame, LawicelError, decode, split
 from hal.errors import NotConnected
 
 _log = logging.getLogger(__name__)
@@ -38,7 +39,10 @@ SILENCE_S = 2.5
 TICK_S = 0.05
 """Between two looks at the receive deadlines."""
 BATCH = 1000
-"""Reads of the adapter in one go: an slcan line over a socket comes byte by byte."""
+"""Frames in one go."""
+READ = 65536
+FRAMES = (b"t", b"T", b"r", b"R")
+"""How lines begin that carry one."""
 BUS_OFF = 0x40
 """Bit of a socketcan error frame's identifier."""
 _LIBRARY = (can.CanError, OSError)
@@ -64,6 +68,7 @@ class CanBus:
         self._wake = asyncio.Event()
         self._trouble = "not opened"
         self.ears = Ears()
+        self._rest = b""
         self.corrupt = 0
         """Lines or frames that could not be read."""
 
@@ -141,11 +146,14 @@ class CanBus:
     async def _poll(self, adapter: can.BusABC) -> None:
         """Stay until the adapter fails or the bus is closed."""
         loop = asyncio.get_running_loop()
+        self._rest = b""
         self._trouble, self._adapter, self.ears.heard_s = "", adapter, loop.time()
         self._wake.clear()
         file = _descriptor(adapter)
         if file is not None:
-            loop.add_reader(file, self._drain, adapter, file)
+            peer = _peer(adapter)
+            read = partial(self._drain, adapter, file) if peer is None else partial(self._lines, peer)
+            loop.add_reader(file, read)
         self._opened.set()
         try:
             while not self._closing.is_set() and not self._trouble:
@@ -210,6 +218,23 @@ class CanBus:
                 self._take(message)
             elif file is None or not select.select([file], [], [], 0)[0]:
                 return
+
+    def _lines(self, peer: socket.socket) -> None:
+        """The same of an slcan adapter behind a socket, which the library would read byte by byte."""
+        try:
+            data = peer.recv(READ)
+        except OSError as error:
+            self._fail(f"receive failed: {error}")
+            return
+        if not data:
+            self._fail("receive failed: socket disconnected")
+        lines, self._rest = split(self._rest + data)
+        for line in lines:
+            if line[:1] in FRAMES:
+                try:
+                    self.ears.heard(decode(line), asyncio.get_running_loop().time())
+                except LawicelError:
+                    self.corrupt += 1
 
     def _take(self, message: can.Message) -> None:
         if message.is_error_frame:

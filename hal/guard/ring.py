@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ SLOTS = 4096
 """Samples that are kept; 4 s at 1 kHz."""
 _HEAD = np.dtype([("magic", "<u8"), ("next", "<u8"), ("period_s", "<f8"), ("range_n", "<f8")])
 _SLOT = np.dtype([("number", "<u8"), ("time_s", "<f8"), ("force_n", "<f8"), ("check", "<u8")])
+_PACKED, _FLOATS, _BITS, _NEXT = struct.Struct("<QddQ"), struct.Struct("<dd"), struct.Struct("<QQ"), struct.Struct("<Q")
+_NEXT_AT = 8
 _MAGIC = 0x31474E49525F4643
 SIZE = _HEAD.itemsize + SLOTS * _SLOT.itemsize
 
@@ -38,26 +41,21 @@ class RingWriter:
             self._memory = mmap.mmap(file, SIZE)
         finally:
             os.close(file)
-        self._slots = np.frombuffer(self._memory, _SLOT, SLOTS, _HEAD.itemsize)
-        self._slots["check"] = 1  # the zeros of a slot never written are no sample 0
-        self._head = np.frombuffer(self._memory, _HEAD, 1)
-        self._head["magic"] = _MAGIC
+        slots, head = np.frombuffer(self._memory, _SLOT, SLOTS, _HEAD.itemsize), np.frombuffer(self._memory, _HEAD, 1)
+        slots["check"] = 1  # the zeros of a slot never written are no sample 0
+        head["magic"] = _MAGIC
 
     def put(self, first: int, times_s: NDArray[np.float64], forces_n: NDArray[np.float64]) -> None:
         """Samples `first` and following; numbers never go back."""
-        count = len(forces_n)
-        numbers = np.arange(first, first + count, dtype=np.uint64)[-SLOTS:]
-        entry = np.empty(len(numbers), _SLOT)
-        entry["number"], entry["time_s"], entry["force_n"] = numbers, times_s[-SLOTS:], forces_n[-SLOTS:]
-        entry["check"] = _check(entry)
-        self._slots[(numbers % SLOTS).astype(np.intp)] = entry
-        self._head["next"] = first + count
+        samples = zip(range(first, first + len(forces_n)), times_s.tolist(), forces_n.tolist(), strict=True)
+        for number, time_s, force_n in samples:
+            time_bits, force_bits = _BITS.unpack(_FLOATS.pack(time_s, force_n))
+            at = _HEAD.itemsize + number % SLOTS * _SLOT.itemsize
+            _PACKED.pack_into(self._memory, at, number, time_s, force_n, number ^ time_bits ^ force_bits)
+        _NEXT.pack_into(self._memory, _NEXT_AT, first + len(forces_n))
 
     def close(self) -> None:
         """Take the file away; readers keep what they have."""
-        if self._memory.closed:
-            return
-        del self._slots, self._head
         self._memory.close()
         self.path.unlink(missing_ok=True)
 

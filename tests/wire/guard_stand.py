@@ -34,7 +34,7 @@ from tests.contract.wire_guard import Guarded, guarded
 NUMBER = 3
 WEIGHT_N = 980.665
 SPEED = 5.0
-LIMITS = GuardLimits("insert", tare_n=WEIGHT_N, trip_n=200.0, low_n=-200.0, stale_ms=50.0, block=10)
+LIMITS = GuardLimits("insert", tare_n=WEIGHT_N, trip_n=200.0, low_n=-200.0, stale_ms=400.0, block=10)
 
 
 @dataclass
