@@ -71,6 +71,16 @@ def median(values: Array, axis: int = -1) -> Array:
     return np.asarray(np.partition(values, middle, axis=axis).take(middle, axis=axis))
 
 
+def row_medians(values: Array) -> Array:
+    """Median (k,) over the finite values (k, n) of each row, NaN where there are none."""
+    ordered = np.sort(values, axis=1)  # NaN come last
+    counts = np.isfinite(values).sum(axis=1)
+    rows = np.arange(len(values))
+    return np.asarray(
+        0.5 * (ordered[rows, np.maximum(counts - 1, 0) // 2] + ordered[rows, counts // 2 % values.shape[1]])
+    )
+
+
 def tangents(normal: Array, reference: Array | None = None) -> Array:
     """Two unit vectors (2, 3) that make a right-handed triad with `normal`: t0 x t1 = normal.
 

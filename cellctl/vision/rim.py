@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.geometry import Array
+from cellctl.vision.geometry import Array, row_medians
 
 TUKEY = 6.0
 """An edge scatters with long tails that still carry its place: cut later than where noise is normal."""
@@ -92,7 +92,7 @@ def _circles(
     for _ in range(6):
         miss = np.where(there, edge - np.einsum("kp,pks->ks", answer, design), np.nan)
         with np.errstate(all="ignore"):
-            middle = _median(np.abs(miss))
+            middle = row_medians(np.abs(miss))
         scatter = np.maximum(1.4826 * np.nan_to_num(middle, nan=spacing_mm), 0.05 * spacing_mm)
         ratio = np.nan_to_num(miss, nan=np.inf) / (TUKEY * scatter[:, None])
         weights = np.where(np.abs(ratio) < 1.0, np.square(1.0 - np.minimum(np.square(ratio), 1.0)), 0.0)
@@ -106,14 +106,4 @@ def _circles(
         scatter,
         weights > 0,
         normal,
-    )
-
-
-def _median(values: Array) -> Array:
-    """Median (K,) over the finite values (K, S) of each row, NaN where there are none."""
-    ordered = np.sort(values, axis=1)  # NaN come last
-    counts = np.isfinite(values).sum(axis=1)
-    rows = np.arange(len(values))
-    return np.asarray(
-        0.5 * (ordered[rows, np.maximum(counts - 1, 0) // 2] + ordered[rows, counts // 2 % values.shape[1]])
     )
