@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array
-from cellctl.vision.part import FaceFit
 from cellctl.vision.stencil import neighbours
 
 Image = NDArray[np.float32]
@@ -38,21 +37,21 @@ class SharedNoise:
         return np.asarray(self.share * np.exp(-square_px / self.length_px**2))
 
 
-def on_face(scan: Columns, rows: NDArray[np.intp], face: FaceFit) -> SharedNoise | None:
-    """What the face's residuals on the pixel grid say, from `rows` (n,) of an organised scan that lie on the face.
+def on_face(points: Columns, normal: Array, distance_mm: float, sigma_mm: float) -> SharedNoise | None:
+    """What the residuals of the face's own points about its plane, normal . p = distance, say on the pixel grid.
 
     A band of image rows across the face shows it as well as the whole.
     """
-    assert scan.pixels is not None
-    height, width = scan.shape
-    counts = np.cumsum(np.append(0, np.bincount(scan.pixels[rows] // width, minlength=height)))
+    assert points.pixels is not None
+    height, width = points.shape
+    starts = np.searchsorted(points.pixels, width * np.arange(height + 1))
     band = int(min(height, max(4 * FAR_LAGS[-1], np.ceil(BAND_PIXELS / width))))
-    top = int(np.argmax(counts[band:] - counts[:-band]))
-    chosen = rows[counts[top] : counts[top + band]]
+    top = int(np.argmax(starts[band:] - starts[:-band]))
+    chosen = points.take(np.s_[starts[top] : starts[top + band]])
+    assert chosen.pixels is not None
     image = np.full((band, width), np.nan, dtype=np.float32)
-    left = scan.take(chosen).above(face.normal, float(face.normal @ face.point_mm))
-    image.reshape(-1)[scan.pixels[chosen] - top * width] = left
-    return estimate(image, face.sigma_mm)
+    image.reshape(-1)[chosen.pixels - top * width] = chosen.above(normal, distance_mm)
+    return estimate(image, sigma_mm)
 
 
 def estimate(residuals: NDArray[np.floating], sigma: float) -> SharedNoise | None:
