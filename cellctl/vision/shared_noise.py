@@ -92,14 +92,12 @@ def _correlation(z: Image, mask: Image, lag: int) -> float:
 def between(pixels: NDArray[np.intp], residuals: Array) -> SharedNoise | None:
     """What residuals (N,) of unit variance at `pixels` (N, 2), not enough of them for an image, have in common one and
     two pixels apart; None where they are as good as white."""
-
-    def mean(down: int, right: int) -> float:
-        other = neighbours(pixels, np.array([[down, right]]))[0]
+    power, shared = float(np.mean(residuals**2)), []
+    for other in neighbours(pixels, np.array([[0, -1], [-1, 0], [0, -2], [-2, 0]])):
         pairs = np.flatnonzero(other >= 0)
-        return float(np.mean(residuals[pairs] * residuals[other[pairs]])) if len(pairs) >= LEAST_PAIRS else 0.0
-
-    power = float(np.mean(residuals**2))
-    near, far = 0.5 * (mean(0, -1) + mean(-1, 0)) / power, 0.5 * (mean(0, -2) + mean(-2, 0)) / power
+        enough = len(pairs) >= LEAST_PAIRS
+        shared.append(float(np.mean(residuals[pairs] * residuals[other[pairs]])) / power if enough else 0.0)
+    near, far = 0.5 * (shared[0] + shared[1]), 0.5 * (shared[2] + shared[3])
     if near < LEAST_NEIGHBOUR or far <= LEAST_FAR:
         return None
     length = float(np.clip(np.sqrt(3.0 / np.log(max(near / far, 1.1))), 0.7, 5.0))
