@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.thread_surface import OWN, SHARED, Array
+from cellctl.vision.thread_surface import OWN, SIZE, Array
 
-SIZE = OWN + SHARED + 1
 BLOCK = 1024
 EM_ROUNDS = 40
 LEAN_DEGREES = 4.0
