@@ -254,8 +254,8 @@ def inflation(
     All arrays are (m,); `index` (m,) names the samples they belong to, all of them where it is None.
     """
     chosen = np.arange(len(samples.points)) if index is None else index
-    angle = np.arctan2(samples.points[chosen, 1], samples.points[chosen, 0])
-    sector = np.floor((angle + np.pi) / (2.0 * np.pi) * 7.999).astype(np.intp)
+    x, y = samples.points[chosen, :2].T
+    sector = (x > 0.0) + 2 * (y > 0.0) + 4 * (np.abs(x) > np.abs(y))  # an eighth of the way around
     patch = (samples.owner[chosen] * 3 + np.maximum(labels, 0)) * 8 + sector
     used = weights > 0.0
     z = value[used] / scale[labels[used]]
