@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.vision.geometry import Array
-from cellctl.vision.hole_fit import LEAST_COSINE, THINNED, HoleFits, slant_power
+from cellctl.vision.hole_fit import LEAST_COSINE, HoleFits, slant_power
 from cellctl.vision.hole_model import FACE, Samples, facing, residuals
 from cellctl.vision.plane import TUKEY
 from cellctl.vision.shared_noise import SharedNoise, correlated
 
 LEAST_SHOWN = 0.1  # of the noise's variance that a residual must still show to be asked for the noise
 LEAST_POINTS = 90
+THINNED = 300  # points of a hole that tell as much as all of them
 NORMAL_MEDIAN = 0.6745
 
 

@@ -14,6 +14,7 @@ from cellctl.vision.geometry import Array, PlaneFrame, robust_sigma, unit
 from cellctl.vision.part import FaceFit, Refused
 
 TUKEY = 4.685  # 95 % efficient for white noise
+LONGER = 1.2  # steps of reweighting are too short, for weights fall where residuals grow: E w / E psi' of such noise
 BLOCK_MM = 6.0
 JUDGES, FIRST_JUDGES, HEARD = 600, 120, 100
 THINNED = 20_000  # points that tell a scale, or where to start, as well as all of them

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cellctl.vision.plane import LONGER
 from cellctl.vision.shared_noise import SharedNoise, between
 from cellctl.vision.stencil import Stencil
 from cellctl.vision.thread_noise import NoiseLaw, learn, tukey
@@ -20,8 +21,6 @@ from cellctl.vision.thread_surface import TIP, Array, Depths, Indices, Rays, dep
 ROUNDS, STILL_SIGMAS, LEARNING = 8, 0.5, 3
 """Most steps; which are too small to matter; how many of the first teach how far studs lean, which a start on some of
 the points exaggerates."""
-LONGER = 1.2
-"""Weights fall where residuals grow, which makes the steps of reweighting too short: E w / E psi' of normal noise."""
 FAR_SIGMAS = 15.0
 """Points farther from the stud than this are left out once the fit is near."""
 LEARNERS = 8000
