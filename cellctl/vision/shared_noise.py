@@ -109,11 +109,11 @@ def correlated(columns: Array, pixels: Array, noise: SharedNoise) -> Array:
 
     On the grid the Gaussian separates into rows and columns, so R is never built.
     """
-    at = np.round(pixels - pixels.min(axis=0)).astype(np.intp)
-    height, width = at.max(axis=0) + 1
+    rows, places = (np.rint(side - side.min()).astype(np.intp) for side in pixels.T)
+    height, width = int(rows.max()) + 1, int(places.max()) + 1
     image = np.zeros((height, width, columns.shape[1]))
-    image[at[:, 0], at[:, 1]] = columns
+    image[rows, places] = columns
     across, along = (np.exp(-((np.subtract.outer(np.arange(n), np.arange(n)) / noise.length_px) ** 2))
                      for n in (height, width))  # fmt: skip
-    smooth = np.einsum("ab,bcq->acq", across, np.einsum("cd,bdq->bcq", along, image, optimize=True), optimize=True)
-    return np.asarray(noise.share * smooth[at[:, 0], at[:, 1]] + (1.0 - noise.share) * columns)
+    smooth = (across @ (along @ image).reshape(height, -1)).reshape(image.shape)
+    return np.asarray(noise.share * smooth[rows, places] + (1.0 - noise.share) * columns)

@@ -57,7 +57,7 @@ class Stencil:
 
     def apply(self, rows: Array) -> Array:
         """Independent rows (q, N) of unit variance from correlated ones."""
-        return np.asarray((self.free @ rows.T).T)
+        return np.ascontiguousarray((self.free @ rows.T).T)
 
     def back(self, rows: Array) -> Array:
         """The transpose of `apply`: how much each correlated point (q, N) weighs in sums over independent rows."""
