@@ -142,7 +142,7 @@ def _quality(spectrum: NDArray[np.complex64], shape: list[int], radius: float) -
         kernels.append(fft.irfft2(spectrum * np.conj(fft.rfft2(kernel)), shape))
     quality = np.clip(1.0 - kernels[0], 0.0, 1.0) ** 2 * np.clip(kernels[1], 0.0, 1.0)
     # equal scores inside one void would all be peaks: a hair of smoothing leaves one
-    return np.asarray(ndimage.gaussian_filter(quality, 0.25 * radius, mode="nearest"))
+    return np.asarray(ndimage.gaussian_filter(quality, 0.25 * radius, mode="nearest", truncate=2.0))
 
 
 def _best_of_overlapping(voids: list[Void]) -> list[Void]:

@@ -122,7 +122,9 @@ def _tried_again(rays: Rays, start: Start, own: Array, shared: Array, law: Noise
         return own, shared, law
     rows = np.flatnonzero(poor[rays.stud])
     once = Rays(rays.points[:, rows], rays.directions[:, rows], (np.cumsum(poor) - 1)[rays.stud[rows]])
-    trials = _likeliest(once, start, shared, _other_places(start, own, poor), np.flatnonzero(poor))
+    trials = _likeliest(
+        once.take(thinned(once.stud, SEEKERS)), start, shared, _other_places(start, own, poor), np.flatnonzero(poor)
+    )
     times, count = trials.shape[:2]
     some = _repeated(once, times, count)
     part = replace(start.only(np.tile(np.flatnonzero(poor), times), shared), own=trials.reshape(times * count, -1))
