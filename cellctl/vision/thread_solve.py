@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.plane import LONGER
 from cellctl.vision.shared_noise import SharedNoise, between
 from cellctl.vision.stencil import Stencil
 from cellctl.vision.thread_noise import NoiseLaw, learn, tukey
@@ -80,7 +79,7 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
         if turn < LEARNING:
             priors = start.priors.leaning(lean_sigma(normal, own, known[0], start.priors, factor))
         d_own, d_shared = normal.step((own, shared), known, priors)
-        steps = np.clip(LONGER * d_own, -0.1, 0.1), np.clip(LONGER * d_shared, -0.05, 0.05)
+        steps = np.clip(d_own, -0.1, 0.1), np.clip(d_shared, -0.05, 0.05)
         own, shared = own + steps[0], shared + steps[1]
         own_covariance, shared_covariance = (factor * part for part in normal.covariance(priors))
         if turn >= LEARNING - 1 and _still(d_own, own_covariance) and _still(d_shared[None], shared_covariance[None]):
