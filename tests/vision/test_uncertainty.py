@@ -28,7 +28,7 @@ def belief(count: int = 36, *, scatter: float = 0.0, rigid=(0.0, 0.0, 0.0), room
         lag_mm=np.zeros(count),
         growth_mm_per_k=growth * points,
         jacobian=jacobian,
-        shared_mm=jacobian @ np.diag(rigid),
+        shared_mm=(jacobian @ np.diag(rigid))[None],
         own_mm=np.full((1, count, 1), scatter),
         clearance_mm=np.full(count, room),
     )
