@@ -94,14 +94,15 @@ def fit(samples: Samples, start: Array, sigma_mm: float) -> HoleFits:
     state = _rounds(samples, state.parameters, start, scale, prior, power=power, rounds=2)
     factor = inflation(samples, state.value / state.amplitude, state.weights, state.labels, state.scale)
     mean, prior = _pooled(state, start, priors(samples.chamfered), factor)
-    state = _rounds(samples, state.parameters, mean, state.scale, prior, power=power, rounds=3)
+    # weights that take shared noise for white are too large by the factor, and so the priors' share has to be
+    state = _rounds(samples, state.parameters, mean, state.scale, prior * factor, power=power, rounds=3)
     kept = state.weights > 0.0
     count = len(start)
     counts = np.bincount(samples.owner[kept] * 3 + state.labels[kept], minlength=3 * count).reshape(count, 3)
     inner = kept & (state.labels != FACE)
     ends = zip(samples.starts[:-1], samples.starts[1:], strict=True)
     residual = [robust_sigma(state.value[a:b][inner[a:b]]) if inner[a:b].any() else np.nan for a, b in ends]
-    covariances = np.asarray(np.linalg.inv(state.normal + _diagonal(prior)) * factor)
+    covariances = np.asarray(np.linalg.inv(state.normal / factor + _diagonal(prior)))
     return HoleFits(state.parameters, covariances, state.scale, counts, np.array(residual), factor, mean, prior, power)
 
 

@@ -64,7 +64,7 @@ def _shown(samples: Samples, fits: HoleFits, design: Array, noise: SharedNoise, 
     for k, (a, b) in enumerate(zip(samples.starts[:-1], samples.starts[1:], strict=True)):
         if b > a:
             own = design[:, a:b]
-            hat = np.linalg.solve(own @ own.T + np.diag(fits.prior[k]), own)
+            hat = np.linalg.solve(own @ own.T + np.diag(fits.prior[k] * fits.inflation), own)
             seen = correlated(own.T, pixels[a:b], noise)
             shown[a:b] += np.einsum("im,im->m", hat, (own @ seen) @ hat - 2.0 * seen.T)
     return shown

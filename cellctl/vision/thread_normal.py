@@ -54,6 +54,10 @@ class Normal:
                 block = np.s_[:, first : min(first + BLOCK, end)]
                 self.total[stud[begin]] += weighted[block] @ rows[block].T
 
+    def over(self, factor: float) -> Normal:
+        """For noise of `factor` times the variance: the data tell less, the priors as much as before."""
+        return Normal(self.total / factor)
+
     @property
     def own(self) -> Array:
         """(n, OWN, OWN)."""
@@ -117,11 +121,10 @@ def _spans(stud: NDArray[np.intp]) -> list[tuple[int, int]]:
     return list(itertools.pairwise(cuts))
 
 
-def lean_sigma(normal: Normal, own: Array, known: Array, priors: Priors, factor: float) -> float:
+def lean_sigma(normal: Normal, own: Array, known: Array, priors: Priors) -> float:
     """One sigma in rad of how studs lean, as wide as all studs together show it (empirical Bayes by EM).
 
-    A few degrees of freedom stand for what drawings allow, so that few studs do not claim to know it well. `factor`
-    widens the data's variances for noise that pixels share.
+    A few degrees of freedom stand for what drawings allow, so that few studs do not claim to know it well.
     """
     slopes, others = [2, 3], [0, 1, 4, 5]
     precision = priors.own**-2.0
@@ -133,8 +136,8 @@ def lean_sigma(normal: Normal, own: Array, known: Array, priors: Priors, factor:
     solved = np.linalg.solve(
         whole[:, others][:, :, others], np.concatenate([across.transpose(0, 2, 1), side[:, others, None]], axis=2)
     )
-    information = (whole[:, slopes][:, :, slopes] - across @ solved[:, :, :2]) / factor
-    pull = (side[:, slopes] - (across @ solved[:, :, 2:])[:, :, 0]) / factor
+    information = whole[:, slopes][:, :, slopes] - across @ solved[:, :, :2]
+    pull = side[:, slopes] - (across @ solved[:, :, 2:])[:, :, 0]
     # in the axes of each stud's information the rounds are sums of numbers
     known_by, axes = np.linalg.eigh(information)
     pulled = np.einsum("nkl,nk->nl", axes, pull)

@@ -76,12 +76,13 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
         normal.add(rows, square, some.stud[kept])
         if turn == 0 and places is not None:
             factor = normal.excess(rows, square, some.stud[kept], _tiles(places[kept]), priors)
+        normal = normal.over(factor)
         if turn < LEARNING:
-            priors = start.priors.leaning(lean_sigma(normal, own, known[0], start.priors, factor))
+            priors = start.priors.leaning(lean_sigma(normal, own, known[0], start.priors))
         d_own, d_shared = normal.step((own, shared), known, priors)
         steps = np.clip(d_own, -0.1, 0.1), np.clip(d_shared, -0.05, 0.05)
         own, shared = own + steps[0], shared + steps[1]
-        own_covariance, shared_covariance = (factor * part for part in normal.covariance(priors))
+        own_covariance, shared_covariance = normal.covariance(priors)
         if turn >= LEARNING - 1 and _still(d_own, own_covariance) and _still(d_shared[None], shared_covariance[None]):
             break
     weights[:] = 0.0

@@ -69,7 +69,7 @@ def near(rays: Rays, start: Start) -> tuple[Array, Array, NoiseLaw]:
     own, shared, law = _tried_again(some, start, own, shared, law)
     own, shared, law = _other_radius(some, start, own, shared, law)
     law = learn(met := depths(some, own, shared, start.form), law, shared)
-    lean_rad = lean_sigma(_normal(met, law, some.stud, len(own)), own, start.own, start.priors, 1.0)
+    lean_rad = lean_sigma(_normal(met, law, some.stud, len(own)), own, start.own, start.priors)
     if lean_rad > FAR_OUT * start.priors.own[2]:
         start = replace(start, priors=start.priors.leaning(lean_rad))
     wide = WIDE * law.scale_mm if law.growth < 1.0 else 0.0
