@@ -85,7 +85,7 @@ class AxisLine(_Section):
         return self
 
     def errors(self, *, placed: bool) -> Array:
-        """(4, k) independent errors of one sigma: place x, y in mm (0 unless `placed`), turns about cell x, y in deg."""
+        """(4, k) independent errors of one sigma: place x, y in mm (0 unless `placed`), turns about x and y in deg."""
         if self.covariance is not None:
             return _root(self.covariance)
         place = self.sigma_position_mm if placed else 0.0

@@ -1,6 +1,6 @@
 """Fake load cell under the shaft, `hal.interfaces.ForceSensor`: the plant's jack force through a real sensor.
 
-reading = gain (F + linearity + hysteresis + creep) + offset + noise, of the force one filter delay ago, clipped to the range.
+reading = gain (F + linearity + hysteresis + creep) + offset + noise, of the force one filter delay ago, in the range.
 Samples are numbered on a grid of their own since connect; the noise of a sample depends on its number alone, so that
 the same stream comes out however it is read. While the plant's motion stays as it is the samples to come are known:
 they are computed ahead in one go, and a reader sleeps until its last one or the first that is out of its window.
