@@ -28,6 +28,7 @@ from cellctl.calibrating.stand import (
     where,
 )
 from cellctl.calibrating.table import Seen, StageAxes, TableAxis, seen_part, stage_axes, table_axis
+from cellctl.kinematics import AxesPosition
 from cellctl.steps.motion import axis
 from cellctl.steps.scan import RETAKEN, Side
 from cellctl.vision.measure import Gates, measure_part
@@ -45,7 +46,7 @@ STEPS_MM = (-8.0, 0.0, 8.0, 4.0, -4.0)
 """Stops of the stage along each axis, arrived at from both sides."""
 REVERSAL_DEG = (-90.0, 90.0)
 PROBE_STEPS_MM = (-0.4, 0.4, 0.0)
-WANDERED_MM = 0.3
+WANDERED_MM = 0.2
 WEIGH_AT_MM = 5.0
 LOADS = (0.0, 0.2, 0.4, 0.6, 0.8)
 """Shares of the sensor's range."""
@@ -174,22 +175,24 @@ async def _stroke(stand: Stand, stops: AxesStops) -> list[Probed]:
     probed = []
     for turn in REVERSAL_DEG:
         await move(stand, "shaft_table", turn)
+        middle = await _centred(stand, Probed(await where(stand), await probes(stand)))
         for name in ("stage_x", "stage_y"):
             for step in PROBE_STEPS_MM:
-                await move(stand, name, step)
+                await move(stand, name, (middle.x_mm if name == "stage_x" else middle.y_mm) + step)
                 probed.append(Probed(await where(stand), await probes(stand)))
         for height in np.linspace(0.0, stops.top_mm, stops.heights)[1:]:
             stand.tell(f"mandrel at table {turn:g} deg, jack {height:.0f} mm")
             await guarded_jack(stand, float(height))
             probed.append(Probed(await where(stand), await probes(stand)))
-            await _centre(stand, probed[-1])
+            await _centred(stand, probed[-1])
         await guarded_jack(stand, 0.0)
     return probed
 
 
-async def _centre(stand: Stand, last: Probed) -> None:
+async def _centred(stand: Stand, last: Probed) -> AxesPosition:
     """Bring a mandrel that has wandered off back to the middle of the probes, before it leaves their range."""
     aside = centre_of(last.gap_mm)
     if np.hypot(*aside) > WANDERED_MM and last.at.z_mm <= stand.free_mm:
         await move(stand, "stage_x", last.at.x_mm - float(aside[0]))
         await move(stand, "stage_y", last.at.y_mm - float(aside[1]))
+    return await where(stand)

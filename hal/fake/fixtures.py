@@ -24,8 +24,8 @@ MANDREL_KG = 16.0
 MANDREL_RADIUS_MM = 40.0
 PROBES_MM = 390.0
 """Height of the bracket."""
-ECCENTRICITY_MM, TILT_DEG = 0.1, 0.02
-"""How true the mandrel is set up in the chuck, one sigma per axis."""
+ECCENTRICITY_MM, TILT_DEG = 0.05, 0.01
+"""How true the mandrel is set up to the table's axis, one sigma per axis."""
 DISTANCE_MM, DISTANCE_ERROR_MM, ANGLE_ERROR_DEG = 1.0, 0.05, 1.0
 """How the probes are set on the bracket, by hand: distance to the mandrel and direction, one sigma."""
 
@@ -57,11 +57,11 @@ class Mandrel:
         return tip - along - math.sqrt(MANDREL_RADIUS_MM**2 - across**2)
 
 
-def draw_mandrel(seed: int, serial: str) -> Mandrel:
-    """One mandrel as it was set up."""
+def draw_mandrel(seed: int, serial: str, axis_mm: Array) -> Mandrel:
+    """One mandrel as it was set up to the table's axis, which is at `axis_mm` (2,)."""
     rng = child_rng(seed, "mandrel", serial)
     return Mandrel(
-        foot_mm=rng.normal(0.0, ECCENTRICITY_MM, 2),
+        foot_mm=axis_mm + rng.normal(0.0, ECCENTRICITY_MM, 2),
         slope=rng.normal(0.0, math.radians(TILT_DEG), 2),
         angle_error_rad=rng.normal(0.0, math.radians(ANGLE_ERROR_DEG), 3),
         distance_mm=rng.normal(DISTANCE_MM, DISTANCE_ERROR_MM, 3),

@@ -101,7 +101,8 @@ class Plant:
         seed = self.settings.seed
         self.rotor = draw_rotor(self.geometry, self.bench, self.numbers, seed, rotor_serial)
         self.shaft = draw_shaft(self.geometry, self.numbers, seed, shaft_serial)
-        self.mandrel = draw_mandrel(seed, shaft_serial) if shaft_serial.startswith(MANDREL) else None
+        axis_mm = self.cell.table_point_mm[:2]
+        self.mandrel = draw_mandrel(seed, shaft_serial, axis_mm) if shaft_serial.startswith(MANDREL) else None
         mass_kg = MANDREL_KG if self.mandrel else weight_kg(seed, shaft_serial)
         self.bare = mass_kg is not None
         if mass_kg is not None:
