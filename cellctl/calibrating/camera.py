@@ -43,12 +43,12 @@ class ViewPose:
     @property
     def sigma_rotation_deg(self) -> float:
         """Rms over the three axes."""
-        return float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3.0))
+        return float(np.sqrt(max(np.trace(self.covariance[:3, :3]), 0.0) / 3.0))
 
     @property
     def sigma_translation_mm(self) -> float:
         """Rms over the three axes, of the scanner's own place."""
-        return float(np.sqrt(np.trace(self.covariance[3:, 3:]) / 3.0))
+        return float(np.sqrt(max(np.trace(self.covariance[3:, 3:]), 0.0) / 3.0))
 
 
 def view_pose(
@@ -155,10 +155,11 @@ def _check(found: ViewPose) -> None:
             f"sphere {worst} lies {found.residual_mm[worst]:.3f} mm off the best fit (limit {WORST_RESIDUAL_MM} mm): "
             "post or certificate is wrong",
         )
-    if found.sigma_rotation_deg > WORST_ROTATION_DEG:
+    loosest = float(np.sqrt(max(np.linalg.eigvalsh(found.covariance[:3, :3])[-1], 0.0)))
+    if loosest > WORST_ROTATION_DEG:
         raise Refused(
             "geometry_too_weak",
-            f"the spheres fix the view to {found.sigma_rotation_deg:.3f} deg only (limit {WORST_ROTATION_DEG} deg)",
+            f"the spheres fix the view to {loosest:.3f} deg only (limit {WORST_ROTATION_DEG} deg)",
         )
 
 

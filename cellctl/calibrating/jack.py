@@ -28,6 +28,7 @@ WORST_ANGLE_DEG = 15.0
 WORST_TILT_DEG = 0.5
 WORST_STRAIGHTNESS_MM = 0.1
 SAME_MM = 0.5
+WORST_STEP = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +58,12 @@ class JackLine:
 def jack_line(probed: Sequence[Probed], stage: tuple[Array, Array], axis: TableAxis, *, radius_mm: float) -> JackLine:
     """From readings at five heights and more, each at two angles half a turn apart, and steps of the stage.
 
-    `stage` are its directions (3,). Raises Refused geometry_too_weak, residual_too_large, wrong_unit.
+    `stage` are its directions (3,). Raises Refused geometry_too_weak, residual_too_large, wrong_unit,
+    probes_swapped.
     """
     heights, row = _heights(np.array([one.at.z_mm for one in probed]))
     _require(probed, heights)
+    _check_unit(probed, row)
     solution, covariance, residual = _bundle(probed, row, stage, radius_mm)
     _check_probes(solution[:3], residual)
     path = np.vstack([np.zeros(2), solution[10:].reshape(-1, 2)])
@@ -116,6 +119,18 @@ def _require(probed: Sequence[Probed], heights: Array) -> None:
         )
 
 
+def _check_unit(probed: Sequence[Probed], row: NDArray[np.intp]) -> None:
+    """The probes must see the steps of the stage as large as they are."""
+    first = probed[0].at.theta_deg
+    below = [one for one, k in zip(probed, row, strict=True) if k == 0 and abs(one.at.theta_deg - first) < 1.0]
+    steps = np.array([[one.at.x_mm, one.at.y_mm] for one in below])
+    seen = np.array([centre_of(one.gap_mm) for one in below])
+    steps, seen = steps - steps.mean(axis=0), seen - seen.mean(axis=0)
+    size = float(np.sqrt(np.sum(seen**2) / np.sum(steps**2)))
+    if not abs(size - 1.0) <= WORST_STEP:
+        raise Refused("wrong_unit", f"the probes see {size:.3g} mm for each mm that the stage steps")
+
+
 def _bundle(
     probed: Sequence[Probed], row: NDArray[np.intp], stage: tuple[Array, Array], radius_mm: float
 ) -> tuple[Array, Array, float]:
@@ -158,9 +173,8 @@ def _check_probes(angles: Array, residual_mm: float) -> None:
     worst = int(np.argmax(np.abs(off)))
     if abs(off[worst]) > WORST_ANGLE_DEG:
         raise Refused(
-            "wrong_unit",
-            f"probe {worst + 1} looks {off[worst]:+.0f} deg off its place (limit {WORST_ANGLE_DEG:.0f} deg): probes "
-            "are swapped, or not in millimetres",
+            "probes_swapped",
+            f"probe {worst + 1} looks {off[worst]:+.0f} deg off its place (limit {WORST_ANGLE_DEG:.0f} deg)",
         )
     if residual_mm > WORST_RESIDUAL_MM:
         raise Refused(

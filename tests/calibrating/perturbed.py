@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -54,9 +53,8 @@ def calibrated(
     return found
 
 
-def believing(config: CellConfig, calibration: Calibration) -> CellConfig:
-    """The same cell with that calibration, in a file of its own."""
-    folder = Path(tempfile.mkdtemp(prefix="cellctl-calibration-"))
+def believing(config: CellConfig, calibration: Calibration, folder: Path) -> CellConfig:
+    """The same cell with that calibration, in a file of `folder`."""
     save_calibration(folder / "calibration.toml", calibration)
     return config.model_copy(update={"calibration": CalibrationEntry(file=folder / "calibration.toml")})
 
