@@ -12,9 +12,12 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from cellctl.calibrating import steps
-from cellctl.calibrating.outcome import Part, of_axes, of_camera, of_force, put_in
+from cellctl.calibrating.entry import Part, put_in
+from cellctl.calibrating.hang import force, spread_masses
+from cellctl.calibrating.look import camera
+from cellctl.calibrating.outcome import of_axes, of_camera, of_force
 from cellctl.calibrating.stand import Stand
+from cellctl.calibrating.travel import STOPS, AxesStops, axes
 from cellctl.calibration import Calibration, Procedure
 from cellctl.recipe import Recipe
 from cellctl.scan_gates import gates_of
@@ -107,17 +110,16 @@ async def _procedure(request: CalibrationRequest, cell: Cell, jobs: Jobs) -> Par
     )
     match request.procedure:
         case "camera":
-            poses = await steps.camera(stand, steps.CameraStops(request.looks))
+            poses = await camera(stand, request.looks)
             return of_camera(base, poses, request.looks)
         case "axes":
             top = min(config.cell.rotor_face_mm, config.devices.jack.high)
-            stops = steps.AxesStops(request.recipe.part("shaft"), gates_of(request.recipe), top)
-            table, stage, jack = await steps.axes(stand, stops)
-            seen = steps.ANGLES + 2 * len(steps.STEPS_MM) + 2 * stops.heights
-            return of_axes(base, table, stage, jack, seen)
+            stops = AxesStops(request.recipe.part("shaft"), gates_of(request.recipe), top)
+            table, stage, jack = await axes(stand, stops)
+            return of_axes(base, table, stage, jack, STOPS)
         case "force":
-            masses = request.masses_kg or steps.spread_masses(cell.jack_force.range_n)
-            found = await steps.force(stand, masses, request.mass_sigma, cell.jack_force.range_n)
+            masses = request.masses_kg or spread_masses(cell.jack_force.range_n)
+            found = await force(stand, masses, request.mass_sigma, cell.jack_force.range_n)
             return of_force(found, len(masses))
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellctl.calibrating.sphere_noise import repeatability, ripple
 from cellctl.calibration import Scale
-from cellctl.docking.ripple import correlation, slope_per_mm
 from cellctl.vision.geometry import Array, Points, transform
 from cellctl.vision.part import Refused
 from cellctl.vision.spheres import SphereFit
@@ -22,9 +22,6 @@ WORST_RESIDUAL_MM = 0.1
 WORST_ROTATION_DEG = 0.02
 WORST_SCALE = 2e-3
 """Beyond these the spheres do not fit their certificate, do not fix a pose, or are told in another unit."""
-CAP_SHARE = 0.62
-"""A slope of the depth error moves a sphere sideways by this share of slope times radius: the mean cosine of incidence
-over a cap seen up to 70 degrees, weighted with the square of the distance from its middle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +69,8 @@ def view_pose(
     seen = np.array([[fit.center_mm for fit in look] for look in looks])
     centres = seen.mean(axis=0)
     _check_scale(centres, certified_mm)
-    noise, spread_mm = _repeatability(looks, seen)
-    systematic = _ripple(centres, scale.sigma_ripple_mm, 0.5 * sphere_diameter_mm)
+    noise, spread_mm = repeatability(looks, seen)
+    systematic = ripple(centres, scale.sigma_ripple_mm, 0.5 * sphere_diameter_mm)
     random = noise + systematic + certificate_mm**2 * np.eye(noise.shape[0])
     pose, gain = _fitted(centres, certified_mm, start, random)
     stretched = scale.sigma_scale * centres.ravel()
@@ -103,31 +100,6 @@ def _check_scale(centres: Array, certified: Array) -> None:
             "wrong_unit",
             f"the spheres lie {size[0] / size[1]:.4g} times as far apart as certified: unit or certificate is wrong",
         )
-
-
-def _repeatability(looks: Sequence[Sequence[SphereFit]], seen: Array) -> tuple[Array, float]:
-    """Covariance (3n, 3n) of the mean centres, from their scatter over the looks; scatter of one centre per axis."""
-    count, spheres = seen.shape[:2]
-    cofactors = np.mean([[fit.cofactor for fit in look] for look in looks], axis=0)
-    apart = seen - seen.mean(axis=0)
-    squares = np.einsum("kni,nij,knj->", apart, np.linalg.inv(cofactors), apart)
-    variance = float(squares) / (3 * spheres * (count - 1))
-    covariance = np.zeros((3 * spheres, 3 * spheres))
-    for i, cofactor in enumerate(cofactors):
-        covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = variance * cofactor / count
-    return covariance, float(np.sqrt(np.sum(apart**2) / (3 * spheres * (count - 1))))
-
-
-def _ripple(centres: Array, sigma_mm: float, radius_mm: float) -> Array:
-    """(3n, 3n): depth along the rays, which near spheres share, and its slope, which moves a sphere sideways."""
-    rays = centres / np.linalg.norm(centres, axis=1, keepdims=True)
-    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2)
-    shared = np.einsum("ij,ia,jb->iajb", correlation(distance), rays, rays)
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    aside = (CAP_SHARE * radius_mm * slope_per_mm()) ** 2
-    for i, plane in enumerate(across):
-        shared[i, :, i, :] += aside * plane
-    return np.asarray(sigma_mm**2 * shared.reshape(centres.size, centres.size))
 
 
 def _fitted(centres: Array, certified: Array, start: Array, noise: Array) -> tuple[Array, Array]:

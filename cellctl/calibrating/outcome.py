@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
 import numpy as np
 
 from cellctl.calibrating.camera import ViewPose
+from cellctl.calibrating.entry import Part
 from cellctl.calibrating.force import Force
 from cellctl.calibrating.jack import JackLine
-from cellctl.calibrating.table import StageAxes, TableAxis
-from cellctl.calibration import AxisLine, Calibration, ForceGain, Made, Procedure, ViewCalibration
+from cellctl.calibrating.stage import StageAxes
+from cellctl.calibrating.table import TableAxis
+from cellctl.calibration import AxisLine, Calibration, ForceGain, ViewCalibration
 from cellctl.steps.scan import Side
 from cellctl.vision.geometry import Array
-from cellctl.vision.part import Refused
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """One part of the file: sections that take the place of what was there, and how they were made."""
-
-    procedure: Procedure
-    sections: Mapping[str, Any]
-    stops: int
-    figures: Mapping[str, float]
 
 
 def of_camera(base: Calibration, found: Mapping[Side, ViewPose], looks: int) -> Part:
@@ -109,27 +98,6 @@ def of_force(found: Force, weights: int) -> Part:
     )
     figures = {"noise_n": found.noise_n, "friction_n": found.friction_n, "linearity": found.linearity}
     return Part("force", {"jack_force": gain}, weights, figures)
-
-
-def put_in(
-    base: Calibration, part: Part, *, name: str, started: datetime, until: datetime | None, devices: Mapping[str, str]
-) -> Calibration:
-    """The file with this part in place; valid from `started` on, as long as `base` unless `until` says otherwise.
-
-    Raises Refused calibration_expired where that is over already.
-    """
-    valid_until = base.valid_until if until is None else until
-    if valid_until <= started:
-        raise Refused("calibration_expired", f"it would be valid until {valid_until:%Y-%m-%d} only: say for how long")
-    made = Made(at=started, devices=dict(devices), stops=part.stops, figures=dict(part.figures))
-    changed = {
-        **part.sections,
-        "id": f"{name}-{started:%Y%m%dT%H%M%S}-{part.procedure}",
-        "valid_from": started,
-        "valid_until": valid_until,
-        "made": {**base.made, part.procedure: made},
-    }
-    return Calibration.model_validate(base.model_copy(update=changed).model_dump())
 
 
 def _row(vector: Array) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""What the steps of a calibration are given, and the few things that they do: move, look, weigh, read the probes.
+"""What the steps of a calibration are given, and the few things that they do: present, move, look.
 
 Devices act behind the cell's own latch and motion rules, and the jack rises under the force guard, as in a run.
 """
@@ -13,22 +13,21 @@ from typing import Literal
 import numpy as np
 
 from cellctl.calibrating.camera import require_millimetres
-from cellctl.calibrating.force import Weighed
 from cellctl.calibration import Calibration
 from cellctl.kinematics import AxesPosition
 from cellctl.ports import Devices, Interlock
 from cellctl.steps.motion import AXES, AxisName, axis, shaft_axes
-from cellctl.vision.geometry import Array
 from cellctl.vision.part import Refused
 from hal.config import Delays
-from hal.interfaces import Frame, GapProbe, GuardLimits, Quality, View
+from hal.interfaces import Frame, GuardLimits, View
 from hal.jobs import Jobs
 
+NOTHING = "-"
+"""Serial number of no part at all."""
+VISION_S = 0.8
+"""Cell time that a measurement is charged under virtual time."""
 TOUCH_N = 60.0
 """Change of the force by which the guard stops a jack that should touch nothing."""
-SETTLE_S = 2.0
-WEIGH_S = 1.0
-PROBE_READS, PROBE_S = 16, 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,39 +110,3 @@ async def guarded_jack(stand: Stand, position_mm: float) -> None:
         await move(stand, "jack", position_mm)
     finally:
         await stand.interlock.disarm()
-
-
-async def weigh(stand: Stand, mass_kg: float, at_mm: float) -> Weighed:
-    """Readings at height `at_mm`, arrived at from below and from above."""
-    await move(stand, "jack", at_mm)
-    up = await _reading(stand)
-    await move(stand, "jack", 2.0 * at_mm)
-    await move(stand, "jack", at_mm)
-    down = await _reading(stand)
-    noise = float(np.sqrt(0.5 * (np.var(up, ddof=1) + np.var(down, ddof=1))))
-    return Weighed(mass_kg, float(np.mean(up)), float(np.mean(down)), noise)
-
-
-async def _reading(stand: Stand) -> Array:
-    await asyncio.sleep(SETTLE_S)
-    return (await stand.interlock.window(WEIGH_S)).samples_n
-
-
-async def probes(stand: Stand) -> Array:
-    """(3,) means of several readings of the gap probes, mm. Raises Refused where one does not measure."""
-    await asyncio.sleep(SETTLE_S)
-    devices: tuple[GapProbe, ...] = (stand.devices.gap_probe_1, stand.devices.gap_probe_2, stand.devices.gap_probe_3)
-    read = []
-    for _ in range(PROBE_READS):
-        for probe in devices:
-            reading = await probe.read()
-            if reading.quality is not Quality.GOOD:
-                at = (await where(stand)).z_mm
-                raise Refused(
-                    "out_of_range",
-                    f"{probe.name} says {reading.value:g} mm ({reading.quality.value}) with the jack at {at:.0f} mm: "
-                    "set the probes nearer, or centre the mandrel",
-                )
-            read.append(reading.value)
-        await asyncio.sleep(PROBE_S)
-    return np.asarray(np.array(read).reshape(-1, len(devices)).mean(axis=0))

@@ -1,8 +1,7 @@
-"""Axis of the table and directions of the stage, from poses of one part that they carry. Pure, cell frame.
+"""Axis of the table, from poses of one part that it turns. Pure, cell frame.
 
 The part's own place does not matter: its centre walks on a circle about the axis as the table turns, its normal on a
-cone about the axis' direction, and its centre on two lines as the stage steps. All of it linear for an axis that
-stands nearly upright.
+cone about the axis' direction. All of it linear for an axis that stands nearly upright.
 """
 
 from __future__ import annotations
@@ -12,31 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellctl.calibrating.seen import Seen
 from cellctl.docking.ripple import correlation
-from cellctl.kinematics import AxesPosition
 from cellctl.vision.geometry import Array, wrap_rad
-from cellctl.vision.part import PartMeasurement, Refused
+from cellctl.vision.part import Refused
 
 LEAST_ANGLES, LEAST_SPAN_DEG = 6, 180.0
-LEAST_TRAVEL_MM = 4.0
 WORST_RESIDUAL_MM, WORST_RESIDUAL_DEG = 0.05, 0.02
-WORST_SCALE = 5e-3
 WORST_TILT_DEG = 1.0
 """Beyond these the part has moved in the chuck, the stops say too little, or a unit is wrong."""
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """A part seen with the axes at `at`: centre (3,) and normal (3,), clocking in rad, all in the cell.
-
-    `step_rad` is the turn after which the part looks the same: one whole turn where an index tells its features apart.
-    """
-
-    at: AxesPosition
-    centre_mm: Array
-    normal: Array
-    clocking_rad: float
-    step_rad: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,24 +35,6 @@ class TableAxis:
     angle_deg: float
     residual_mm: float
     residual_deg: float
-
-
-@dataclass(frozen=True, slots=True)
-class StageAxes:
-    """Unit directions (3,) of x and y, one sigma of each, how far they are from square, rms residual per axis."""
-
-    x_direction: Array
-    y_direction: Array
-    sigma_direction_deg: float
-    square_deg: float
-    residual_mm: float
-
-
-def seen_part(part: PartMeasurement, at: AxesPosition, angles_deg: tuple[float, ...]) -> Seen:
-    """What is used of a measurement in the cell frame; `angles_deg` are the pattern's own."""
-    x = part.T_frame_part[:3, 0]
-    step = 2.0 * np.pi / len(angles_deg) if part.clocking_free else 2.0 * np.pi
-    return Seen(at, part.T_frame_part[:3, 3], part.face.normal, float(np.arctan2(x[1], x[0])), step)
 
 
 def table_axis(turned: Sequence[Seen], view: tuple[Array, Array], ripple: tuple[float, float]) -> TableAxis:
@@ -99,35 +64,6 @@ def table_axis(turned: Sequence[Seen], view: tuple[Array, Array], ripple: tuple[
     covariance = _with_view(place_cov, lean_cov, point, view)
     encoder, angle = _angles(theta, turned)
     return TableAxis(point, direction, covariance, encoder, angle, residual_mm, float(np.degrees(residual)))
-
-
-def stage_axes(stepped: Sequence[Seen], view_covariance: Array) -> StageAxes:
-    """From the same part at three places and more along each axis. Raises Refused geometry_too_weak, wrong_unit,
-    residual_too_large."""
-    at = np.array([[seen.at.x_mm, seen.at.y_mm] for seen in stepped])
-    if len(at) < 5 or np.ptp(at, axis=0).min() < LEAST_TRAVEL_MM:
-        raise Refused("geometry_too_weak", f"the stage must travel {LEAST_TRAVEL_MM:g} mm and more along both axes")
-    centres = np.array([seen.centre_mm for seen in stepped])
-    matrix = np.column_stack([at, np.ones(len(at))])
-    solution, *_ = np.linalg.lstsq(matrix, centres, rcond=None)
-    rest = centres - matrix @ solution
-    sigma = float(np.sqrt(np.sum(rest[:, :2] ** 2) / (2 * len(at) - 6)))
-    lengths = np.linalg.norm(solution[:2], axis=1)
-    for name, length in zip("xy", lengths, strict=True):
-        if abs(length - 1.0) > WORST_SCALE:
-            raise Refused(
-                "wrong_unit", f"the stage moves {length:.4f} mm for each mm along {name}: unit or gear is wrong"
-            )
-    if sigma > WORST_RESIDUAL_MM:
-        raise Refused(
-            "residual_too_large",
-            f"the stage is {sigma:.3f} mm rms off two lines (limit {WORST_RESIDUAL_MM} mm): the part moves",
-        )
-    spread = np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix))[:2]).max()
-    sigma_deg = float(np.hypot(np.degrees(sigma * spread), np.sqrt(np.trace(view_covariance[:3, :3]) / 3.0)))
-    x, y = solution[:2] / lengths[:, None]
-    square = 90.0 - float(np.degrees(np.arccos(np.clip(x @ y, -1.0, 1.0))))
-    return StageAxes(x, y, sigma_deg, square, sigma)
 
 
 def _circle(theta: Array, places: Array) -> tuple[Array, Array, float]:

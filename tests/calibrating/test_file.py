@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellctl.calibrating import file
-from cellctl.calibrating.outcome import Part, put_in
+from cellctl.calibrating.entry import Part, put_in
 from cellctl.calibration import AxisLine, Made, ViewCalibration, load_calibration
 from cellctl.vision.part import Refused
 from hal.errors import ConfigError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellctl.calibrating.force import Weighed, force_gain
-from cellctl.calibrating.steps import spread_masses
+from cellctl.calibrating.hang import spread_masses
 from cellctl.calibration import ForceGain
 from cellctl.vision.part import Refused
 from hal.units import GRAVITY_M_S2

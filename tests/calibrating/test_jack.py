@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellctl.calibrating.jack import Probed, centre_of, jack_line
+from cellctl.calibrating.jack import jack_line
+from cellctl.calibrating.mandrel import Probed, centre_of
 from cellctl.calibrating.table import TableAxis
 from cellctl.kinematics import AxesPosition
 from cellctl.studies.calibration import nees

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellctl.calibrating.table import Seen, stage_axes, table_axis
+from cellctl.calibrating.seen import Seen
+from cellctl.calibrating.stage import stage_axes
+from cellctl.calibrating.table import table_axis
 from cellctl.kinematics import AxesPosition, rotation_about
 from cellctl.studies.calibration import nees
 from cellctl.vision.part import Refused

@@ -36,7 +36,7 @@ def test_force_then_camera_into_one_file(tmp_path: Path, capsys: pytest.CaptureF
     ("more", "code"),
     [
         (("--masses", "80,85,90"), "geometry_too_weak"),
-        (("--masses", "0,100,203"), "guard_tripped"),
+        (("--masses", "0,100,210"), "guard_tripped"),
         (("--set", "force_gain=0.102"), "wrong_unit"),
         (("--valid-days", "0"), "calibration_expired"),
     ],
