@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from cellctl.calibrating.entry import Part, put_in
+from cellctl.calibrating.entry import Part, put_in, require_same_devices
 from cellctl.calibrating.hang import force, spread_masses
 from cellctl.calibrating.look import camera
 from cellctl.calibrating.outcome import of_axes, of_camera, of_force
@@ -79,7 +79,8 @@ async def calibrate_here(request: CalibrationRequest, jobs: Jobs) -> Calibration
     started = stamps.now()
     cell = standing_cell(request.recipe, config, jobs, seed=request.seed).cell
     try:
-        identities = await cell.connect()
+        devices = {name: told(identity) for name, identity in (await cell.connect()).items()}
+        require_same_devices(request.base, request.procedure, devices)
         await cell.rearm()
         part = await _procedure(request, cell, jobs)
     finally:
@@ -91,7 +92,7 @@ async def calibrate_here(request: CalibrationRequest, jobs: Jobs) -> Calibration
         name=config.cell.name,
         started=started,
         until=_until(started, request.valid_days),
-        devices={name: told(identities[name]) for name in USED[request.procedure]},
+        devices={name: devices[name] for name in USED[request.procedure]},
     )
 
 

@@ -21,6 +21,22 @@ class Part:
     figures: Mapping[str, float]
 
 
+def require_same_devices(base: Calibration, procedure: Procedure, devices: Mapping[str, str]) -> None:
+    """What `base` holds from other procedures must be of these very devices (one line each, by name).
+
+    Raises Refused other_devices. Firmware may change.
+    """
+    for name, made in base.made.items():
+        for device, was in made.devices.items():
+            now = devices.get(device, was)
+            if name != procedure and _unit(now) != _unit(was):
+                raise Refused("other_devices", f"{name} was calibrated with {device} {was}; here it is {now}")
+
+
+def _unit(line: str) -> str:
+    return line.rpartition(", firmware")[0] or line
+
+
 def put_in(
     base: Calibration, part: Part, *, name: str, started: datetime, until: datetime | None, devices: Mapping[str, str]
 ) -> Calibration:

@@ -1,30 +1,35 @@
-"""Calibration against the truth of perturbed twins: normalised errors of every estimate over many seeds.
+"""Calibration of perturbed twins: normalised errors of every estimate against the truth, docks before and after.
 
-``python -m tests.calibrating.campaign --seeds 40 --points 100000`` prints one JSON document.
+``python -m tests.calibrating.campaign estimates|docks --seeds 40 --points 100000 [--figures FOLDER]`` prints one JSON
+document and puts it into `FOLDER/calibration.json` with command, commit and machine.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.calibration import Calibration, Procedure
+from cellctl.dock_runner import DockRequest, dock_by_sight
 from cellctl.recipe import Recipe, load_recipe
 from cellctl.runner import with_twin
 from cellctl.studies.calibration import nees
+from cellctl.studies.figures import provenance
 from cellctl.twin import twin_of
 from hal.config import CellConfig, load_cell
 from hal.fake.parts import CellTruth
 from hal.fake.plant import Plant
 from hal.fake.stack import jack_errors
 from hal.jobs import InlineJobs
-from tests.calibrating.perturbed import ALL, calibrated, overridden, perturbations
-from tests.journeys.twin_runs import CELL, RECIPE
+from tests.calibrating.perturbed import ALL, believing, calibrated, overridden, perturbations
+from tests.journeys.twin_runs import CELL, RECIPE, ROOT
 
 Array = NDArray[np.float64]
 
@@ -142,10 +147,41 @@ def _told(errors: list[Error]) -> dict[str, object]:
     }
 
 
-if __name__ == "__main__":
+def docks(seeds: int, points: int) -> dict[str, object]:
+    """Docks by sight: on twins as they are drawn, on perturbed ones as they are believed, and calibrated before."""
+    recipe, base = load_recipe(RECIPE), with_twin(load_cell(CELL), points=points)
+    done = {name: [0, 0] for name in ("nominal", "perturbed", "calibrated")}
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(seeds):
+            config = overridden(base, perturbations(np.random.default_rng(seed)))
+            found = believing(config, calibrated(config, recipe, seed), Path(folder))
+            for name, cell in (("nominal", base), ("perturbed", config), ("calibrated", found)):
+                outcome = dock_by_sight(DockRequest(recipe, cell, seed))
+                done[name][0] += outcome.succeeded
+                done[name][1] += bool(outcome.refused)
+    return {"seeds": seeds, "points": points} | {
+        name: {"succeeded": succeeded, "refused": refused} for name, (succeeded, refused) in done.items()
+    }
+
+
+def main() -> None:
     parser = argparse.ArgumentParser()
+    parser.add_argument("what", choices=("estimates", "docks"))
     parser.add_argument("--seeds", type=int, default=40)
     parser.add_argument("--points", type=int, default=100_000)
+    parser.add_argument("--figures", type=Path)
     args = parser.parse_args()
     began = time.process_time()
-    print(json.dumps(campaign(args.seeds, args.points) | {"cpu_s": round(time.process_time() - began)}, indent=1))
+    found = (campaign if args.what == "estimates" else docks)(args.seeds, args.points)
+    command = f"python -m tests.calibrating.campaign {args.what} --seeds {args.seeds} --points {args.points}"
+    entry = {**provenance(command.split(), ROOT), "cpu_s": round(time.process_time() - began), **found}
+    print(json.dumps(entry, indent=1))
+    if args.figures is not None:
+        path = args.figures / "calibration.json"
+        others = json.loads(path.read_text()) if path.exists() else []
+        kept = [other for other in others if other["command"] != entry["command"]]
+        path.write_text(json.dumps([*kept, entry], indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
