@@ -54,6 +54,7 @@ class CalibrationRequest:
     masses_kg: tuple[float, ...] = ()
     mass_sigma: float = 3e-5
     looks: int = 6
+    mandrel_mm: float = 80.0
     valid_days: float | None = None
     rotor_serial: str = "R-1"
     shaft_serial: str = "S-1"
@@ -115,7 +116,7 @@ async def _procedure(request: CalibrationRequest, cell: Cell, jobs: Jobs) -> Par
             return of_camera(base, poses, request.looks)
         case "axes":
             top = min(config.cell.rotor_face_mm, config.devices.jack.high)
-            stops = AxesStops(request.recipe.part("shaft"), gates_of(request.recipe), top)
+            stops = AxesStops(request.recipe.part("shaft"), gates_of(request.recipe), top, request.mandrel_mm)
             table, stage, jack = await axes(stand, stops)
             return of_axes(base, table, stage, jack, STOPS)
         case "force":

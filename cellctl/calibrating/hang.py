@@ -12,7 +12,6 @@ from hal.units import GRAVITY_M_S2
 
 WEIGHT = "CAL-WEIGHT-"
 """Serial number of a weight, with its mass in kilograms behind it."""
-
 WEIGH_AT_MM = 5.0
 LOADS = (0.0, 0.2, 0.4, 0.6, 0.8)
 """Shares of the sensor's range."""

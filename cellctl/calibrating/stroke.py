@@ -11,9 +11,7 @@ from cellctl.kinematics import AxesPosition
 
 MANDREL = "CAL-MANDREL"
 """Serial number of the mandrel."""
-MANDREL_RADIUS_MM = 40.0
 HEIGHTS = 9
-
 REVERSAL_DEG = (-90.0, 90.0)
 PROBE_STEPS_MM = (-0.4, 0.4, 0.0)
 WANDERED_MM = 0.2

@@ -11,7 +11,7 @@ from cellctl.calibrating.jack import JackLine, jack_line
 from cellctl.calibrating.seen import Seen, seen_part
 from cellctl.calibrating.stage import StageAxes, stage_axes
 from cellctl.calibrating.stand import VISION_S, Stand, camera_to, capture, move, prepare, present, where
-from cellctl.calibrating.stroke import HEIGHTS, MANDREL_RADIUS_MM, stroke
+from cellctl.calibrating.stroke import HEIGHTS, stroke
 from cellctl.calibrating.table import TableAxis, table_axis
 from cellctl.steps.motion import axis
 from cellctl.steps.scan import RETAKEN
@@ -23,17 +23,17 @@ ANGLES = 12
 TURN_DEG = 330.0
 STEPS_MM = (-8.0, 0.0, 8.0, 4.0, -4.0)
 """Stops of the stage along each axis, arrived at from both sides."""
-
 STOPS = ANGLES + 2 * len(STEPS_MM) + 2 * HEIGHTS
 
 
 @dataclass(frozen=True, slots=True)
 class AxesStops:
-    """The part that the table carries, its quality gates, and how high the jack goes."""
+    """The part that the table carries, its quality gates, and how high the jack goes; the mandrel's diameter."""
 
     part: Part
     gates: Gates
     top_mm: float
+    mandrel_mm: float
 
 
 async def axes(stand: Stand, stops: AxesStops) -> tuple[TableAxis, StageAxes, JackLine]:
@@ -58,7 +58,7 @@ async def axes(stand: Stand, stops: AxesStops) -> tuple[TableAxis, StageAxes, Ja
     await camera_to(stand, "parked")
     probed = await stroke(stand, stops.top_mm)
     directions = (stage.x_direction, stage.y_direction)
-    return table, stage, jack_line(probed, directions, table, radius_mm=MANDREL_RADIUS_MM)
+    return table, stage, jack_line(probed, directions, table, radius_mm=0.5 * stops.mandrel_mm)
 
 
 async def _to_start(stand: Stand) -> None:

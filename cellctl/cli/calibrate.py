@@ -26,6 +26,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, help="calibration file to be written")
     parser.add_argument("--base", type=Path, help="file to go on from; default: the output, else the cell's own")
     parser.add_argument("--recipe", type=Path, default=RECIPE, help="the parts that are used")
+    parser.add_argument("--rotor", default="R-1", help="serial number of the rotor that is presented")
+    parser.add_argument("--shaft", default="S-1", help="serial number of the shaft that is presented")
+    parser.add_argument("--mandrel-mm", type=float, default=80.0, help="the mandrel's certified diameter (default 80)")
     parser.add_argument("--masses", type=_masses, default=(), metavar="KG,KG,...", help="weights at hand, with 0")
     parser.add_argument("--mass-sigma", type=float, default=3e-5, help="their relative uncertainty (default 3e-5)")
     parser.add_argument("--looks", type=int, default=6, help="looks at the artefact in each view (default 6)")
@@ -58,7 +61,10 @@ def run(args: argparse.Namespace) -> int:
             masses_kg=args.masses,
             mass_sigma=args.mass_sigma,
             looks=args.looks,
+            mandrel_mm=args.mandrel_mm,
             valid_days=args.valid_days,
+            rotor_serial=args.rotor,
+            shaft_serial=args.shaft,
             tell=lambda text: print(text, file=sys.stderr, flush=True),
         )
         found = calibrate_once(request)
@@ -70,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
         return _refused(args, refusal.code, refusal.reason)
     except CellError as error:
         return _refused(args, error.code, str(error))
+    except KeyboardInterrupt:
+        return _refused(args, "interrupted", "the cell was made safe and let go")
     made = found.made[request.procedure]
     if args.json:
         print(json.dumps({"id": found.id, "file": str(args.output), **made.model_dump(mode="json")}))
