@@ -6,14 +6,15 @@ This is the one place that knows backends; they are imported only where the cell
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from hal.config import CellConfig
-from hal.entries import CanAxisEntry, Devices
-from hal.errors import ConfigError, DeviceError, DeviceTimeout, SafetyOpen
+from hal.entries import CanAxisEntry, Devices, ForceLineEntry
+from hal.errors import ConfigError, DeviceError, DeviceTimeout, NotConnected, SafetyOpen
 from hal.guard.heartbeat import Heartbeat
 from hal.guard.inloop import InLoopGuard
 from hal.interfaces import (
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
     from hal.fake.devices.scanner import Render
     from hal.fake.faults import FaultBook
     from hal.fake.plant import Plant
+    from hal.guard.link import GuardLink
+    from hal.real.build import Guarded
 
 __all__ = ["Behind", "Cell", "CellFailure", "SafeReport", "build_cell"]
 
@@ -76,8 +79,11 @@ class CellFailure(DeviceError):
 
 
 class CellGuard(ForceGuard, Protocol):
-    """A force guard whose life ends with the cell's."""
+    """A force guard whose life is the cell's."""
 
+    @property
+    def alive(self) -> bool: ...
+    async def open(self) -> None: ...
     async def close(self) -> None: ...
 
 
@@ -125,6 +131,8 @@ class Cell:
         """
         if self.heartbeat is not None:
             self.heartbeat.start()
+        with contextlib.suppress(NotConnected):  # the devices behind it say so, with all others that failed
+            await self.guard.open()
         return await _all("connect", self.devices(), lambda device: device.connect())
 
     async def close(self) -> None:
@@ -145,15 +153,16 @@ class Cell:
     async def rearm(self) -> None:
         """Make every set-point the measured value and open the latch: nothing old is resumed.
 
-        Raises SafetyOpen while a safety input is open or unknown, CellFailure with every device that did not re-arm;
-        the latch then stays closed.
+        Raises SafetyOpen while a safety input is open or unknown, CellFailure with every device that did not re-arm,
+        GuardTripped or a DeviceError where the guard did not; the latch then stays closed.
         """
+        self.latch.close("safe stop", "not re-armed to the end")
         await _all("re-arm", [self.safety], lambda device: device.rearm())
         if reason := await self._safety():
             raise SafetyOpen(reason)
-        await _all("re-arm", self.devices(), lambda device: device.rearm())
         await self.guard.disarm()
-        await self.guard.rearm()
+        await self.guard.rearm()  # before the drives: the gate of a guard process lets no drive be enabled until then
+        await _all("re-arm", self.devices(), lambda device: device.rearm())
         self.latch.open("safe stop")
 
     async def until_unsafe(self) -> str:
@@ -185,18 +194,11 @@ def build_cell(config: CellConfig, behind: Behind | None = None) -> Cell:
 
     Nothing here starts a task or talks to a device. Raises ConfigError.
     """
-    bare, beat = _bare(config, behind)
+    latch, envelope = Latch(), config.envelope
+    link = _guard_link(config)
+    bare, beat = _bare(config, behind, link)
     axes: dict[AxisName, Axis] = {name: bare[name] for name in AXES}
-    latch, delays, envelope = Latch(), config.guard, config.envelope
-    guard = InLoopGuard(
-        bare["jack_force"],
-        tuple(axes.values()),
-        latch,
-        idle_block=delays.idle_block,
-        idle_stale_s=delays.stale_ms * 1e-3,
-        halt_deadline_s=config.cell.safe_deadline_s,
-        frozen_samples=delays.frozen_samples,
-    )
+    guard = _guard(config, bare["jack_force"], tuple(axes.values()), latch, link)
     limits = PermitLimits(
         view_safe_mm=envelope.view_safe_mm,
         free_mm=envelope.free_mm,
@@ -220,8 +222,41 @@ def build_cell(config: CellConfig, behind: Behind | None = None) -> Cell:
     return Cell(guard=guard, latch=latch, heartbeat=heartbeat, **(bare | permitted))
 
 
-def _bare(config: CellConfig, behind: Behind | None) -> tuple[dict[str, Any], Callable[[], None] | None]:
-    """Every device as its entry says, without any rules, and what sends the heartbeat to the drives."""
+def _guard_link(config: CellConfig) -> GuardLink | None:
+    """The way to the guard where it is a process of its own."""
+    if config.guard.process == "in_loop":
+        return None
+    from hal.guard.child import GuardChild
+    from hal.guard.link import GuardLink
+
+    child = GuardChild(config.path) if config.guard.process == "child" else None
+    return GuardLink(config.beside(config.guard.socket), child)
+
+
+def _guard(
+    config: CellConfig, sensor: ForceSensor, axes: Sequence[Axis], latch: Latch, link: GuardLink | None
+) -> CellGuard:
+    delays, deadline_s = config.guard, config.cell.safe_deadline_s
+    if link is not None:
+        from hal.guard.client import GuardClient
+
+        frozen = delays.frozen_samples
+        return GuardClient(link, sensor, axes, latch, halt_deadline_s=deadline_s, frozen_samples=frozen)
+    return InLoopGuard(
+        sensor,
+        axes,
+        latch,
+        idle_block=delays.idle_block,
+        idle_stale_s=delays.stale_ms * 1e-3,
+        halt_deadline_s=deadline_s,
+        frozen_samples=delays.frozen_samples,
+    )
+
+
+def _bare(
+    config: CellConfig, behind: Behind | None, link: GuardLink | None
+) -> tuple[dict[str, Any], Callable[[], None] | None]:
+    """Every device as its entry says, without any rules, and what is told in time that this controller lives."""
     devices: dict[str, Any] = {}
     beat: Callable[[], None] | None = None
     fakes = [name for name, kind in config.kinds.items() if kind == "fake"]
@@ -234,14 +269,25 @@ def _bare(config: CellConfig, behind: Behind | None) -> tuple[dict[str, Any], Ca
     if len(fakes) < len(config.kinds):
         from hal.real.build import real_devices
 
-        real = real_devices(config)
+        real = real_devices(config, _guarded(config, link) if link is not None else None)
         devices |= real.devices
-        beat = real.can.beat if real.can is not None else None
+        beat = link.beat if link is not None else real.can.beat if real.can is not None else None
     return devices, beat
 
 
+def _guarded(config: CellConfig, link: GuardLink) -> Guarded:
+    from hal.guard.force import RingForceSensor
+    from hal.real.build import Guarded
+
+    entry = config.devices.jack_force
+    assert isinstance(entry, ForceLineEntry), "the cell file was checked"
+    return Guarded(link, RingForceSensor("jack_force", entry, link, config.beside(config.guard.socket)))
+
+
 def _beat_s(config: CellConfig) -> float:
-    """Between two heartbeats: a drive misses the controller after two of its own periods."""
+    """Between two beats: who hears none for two of a drive's periods, or for the guard's limit, acts on it."""
+    if config.guard.process != "in_loop":
+        return config.guard.beat_ms * 1e-3 / BEATS
     periods_s = [entry.heartbeat_s for entry in config.entries.values() if isinstance(entry, CanAxisEntry)]
     return 2.0 * min(periods_s, default=0.1) / BEATS
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, get_args
 
 from pydantic import Field, ValidationError, model_validator
 
-from hal.entries import CanAxisEntry, CanEntry, Devices, Section
+from hal.entries import CanAxisEntry, CanEntry, Devices, ForceLineEntry, Section
 from hal.errors import ConfigError
 from hal.units import Bar, Fraction, Kilogram, Mm, NewtonPerMm, Seconds
 
@@ -23,8 +23,17 @@ Level = Literal["ideal", "nominal", "hostile"]
 class Delays(Section):
     """`[guard]`: the chain of delays from a force to a standing jack, and what the guard takes for a dead sensor.
 
-    Samples older than `stale_ms` are stale; `frozen_samples` equal ones in a row are frozen (0: never).
+    Samples older than `stale_ms` are stale; `frozen_samples` equal ones in a row are frozen (0: never). `process` says
+    where the guard runs: in the controller's loop, as a child of the controller, or as a service that the system
+    starts. A guard of its own owns CAN adapter and jack force, is reached at `socket` (relative to the cell file; a
+    folder in memory, as /run is, keeps the ring of samples beside it off the disk), and takes a controller that it does
+    not hear for `beat_ms`, or for `quiet_ms` while it is not armed, for dead.
     """
+
+    process: Literal["in_loop", "child", "service"] = "in_loop"
+    socket: Path = Path("guard.sock")
+    beat_ms: float = Field(default=100.0, ge=10)
+    quiet_ms: float = Field(default=500.0, ge=10)
 
     stale_ms: float = Field(default=50.0, ge=5)
     sensor_s: Seconds = Field(default=0.002, ge=0)
@@ -97,6 +106,12 @@ class CellConfig(Section):
     path: Path = Field(default=Path(), exclude=True)
 
     @model_validator(mode="after")
+    def _guarded(self) -> Self:
+        if self.guard.process != "in_loop" and not (self.can and isinstance(self.devices.jack_force, ForceLineEntry)):
+            raise ValueError("a guard process owns the CAN adapter and the jack's force sensor on a serial port")
+        return self
+
+    @model_validator(mode="after")
     def _nodes(self) -> Self:
         axes = {
             name: entry.node
@@ -136,7 +151,8 @@ class CellConfig(Section):
             for name, entry in self.entries.items()
         }
         fakes = {name: numbers | {"kind": "fake"} for name, numbers in told.items()}
-        return self.model_copy(update={"devices": Devices.model_validate(fakes)})
+        guard = self.guard.model_copy(update={"process": "in_loop"})
+        return self.model_copy(update={"devices": Devices.model_validate(fakes), "guard": guard})
 
 
 def _fake_fields(name: str) -> frozenset[str]:

@@ -23,6 +23,8 @@ from cellctl.recipe import load_recipe
 from cellctl.studies.figures import provenance
 from hal.config import Level, load_cell
 from hal.fake.fault_file import load_faults
+from tests.dead.processes import moment
+from tests.dead.races import raced
 from tests.journeys.stops import stopped
 from tests.journeys.swarm import broken, random_faults, wrong_truth
 from tests.journeys.twin_runs import (
@@ -42,6 +44,8 @@ from tests.vision import nights
 
 SWARM_SEEDS = 4
 """Twins that the swarm is spread over: few, so that their clouds are computed once."""
+RACES = 100
+"""Trips of one number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +122,17 @@ def stops(jobs: RememberedJobs, number: int) -> Result:
     return Result(stopped(Random(number), jobs).rsplit(" ", 1)[-1])
 
 
+def races(number: int) -> Result:
+    """Trips of the guard, raced with motion commands."""
+    wrong = raced(number, RACES)
+    return Result(f"{RACES} trips, none undone" if not wrong else "undone", wrong)
+
+
+def dead(number: int) -> Result:
+    """Controller or guard killed or stopped at a random moment, as real processes."""
+    return Result(*moment(number))
+
+
 def seen(numbers: Callable[[int], tuple[str, str]], number: int) -> Result:
     """A number of one of the vision core's campaigns."""
     return Result(*numbers(number))
@@ -133,6 +148,8 @@ def campaigns() -> dict[str, Campaign]:
         "swarm": partial(swarm, jobs),
         "truth": truth,
         "stops": partial(stops, jobs),
+        "races": races,
+        "dead": dead,
         "elements": partial(seen, nights.elements),
         "studs": partial(seen, nights.studs),
         "flanges": partial(seen, nights.flanges),

@@ -48,6 +48,8 @@ async def jack_up(run: RunContext, aligned: Aligned) -> Insertion:
             return await _result(run, tare, peak, attempt)
         await run.ledger.note("guard_trip", state)
         await back_off(run, aligned)
+    if peak < run.guard_plan.insert_trip_n:  # no force: what the guard says is all that is known
+        raise RunHeld("guard_tripped", f"the guard tripped in each of {attempt} tries, at last: {state.reason}")
     raise RunHeld(
         "force_limit",
         f"contact force reached {peak:.1f} N in each of {run.recipe.jack_up.max_tries} tries "

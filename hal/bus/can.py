@@ -14,14 +14,15 @@ import logging
 import select
 import socket
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import partial
+from typing import Any
 
 import can
 
+from hal.bus.ears import Ears, Listener
 from hal.clock import standing_still
 from hal.codec.cia301 import heartbeat
-from hal.codec.lawicel import CanFrame
+from hal.codec.lawicel import CanFrame, LawicelError, decode, split
 from hal.errors import NotConnected
 
 _log = logging.getLogger(__name__)
@@ -38,39 +39,13 @@ SILENCE_S = 2.5
 TICK_S = 0.05
 """Between two looks at the receive deadlines."""
 BATCH = 1000
-"""Reads of the adapter in one go: an slcan line over a socket comes byte by byte."""
+"""Frames in one go."""
+READ = 65536
+FRAMES = (b"t", b"T", b"r", b"R")
+"""How lines begin that carry one."""
 BUS_OFF = 0x40
 """Bit of a socketcan error frame's identifier."""
 _LIBRARY = (can.CanError, OSError)
-
-
-class Listener(Protocol):
-    """Who gets frames."""
-
-    def frame(self, frame: CanFrame) -> None: ...
-    def down(self, reason: str) -> None:
-        """The link is lost; frames may have been missed."""
-        ...
-
-
-class Link(Protocol):
-    """What a node needs of a bus: the adapter in this process, or a client of whoever owns it."""
-
-    async def open(self) -> None: ...
-    async def release(self) -> None: ...
-    def send(self, frame: CanFrame) -> None: ...
-    def subscribe(self, can_id: int, listener: Listener) -> Callable[[], None]: ...
-    def watch(self, can_id: int, within_s: float, lost: Callable[[], None]) -> Callable[[], None]: ...
-
-
-@dataclass(slots=True, eq=False)
-class _Watch:
-    """A receive deadline; `heard_s` is None until the identifier is heard first, and once it is lost."""
-
-    can_id: int
-    within_s: float
-    lost: Callable[[], None]
-    heard_s: float | None = None
 
 
 class CanBus:
@@ -92,11 +67,15 @@ class CanBus:
         self._closing = asyncio.Event()
         self._wake = asyncio.Event()
         self._trouble = "not opened"
-        self._listeners: dict[int, list[Listener]] = {}
-        self._watches: list[_Watch] = []
-        self._heard_s = 0.0
+        self.ears = Ears()
+        self._rest = b""
         self.corrupt = 0
         """Lines or frames that could not be read."""
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing can be sent; empty while the adapter is open."""
+        return "" if self._adapter is not None else self._trouble or "closed"
 
     # ------------------------------------------------------------ life
 
@@ -167,11 +146,14 @@ class CanBus:
     async def _poll(self, adapter: can.BusABC) -> None:
         """Stay until the adapter fails or the bus is closed."""
         loop = asyncio.get_running_loop()
-        self._trouble, self._adapter, self._heard_s = "", adapter, loop.time()
+        self._rest = b""
+        self._trouble, self._adapter, self.ears.heard_s = "", adapter, loop.time()
         self._wake.clear()
         file = _descriptor(adapter)
         if file is not None:
-            loop.add_reader(file, self._drain, adapter, file)
+            peer = _peer(adapter)
+            read = partial(self._drain, adapter, file) if peer is None else partial(self._lines, peer)
+            loop.add_reader(file, read)
         self._opened.set()
         try:
             while not self._closing.is_set() and not self._trouble:
@@ -188,11 +170,7 @@ class CanBus:
     def _lose(self) -> None:
         self._adapter = None
         self._opened.clear()
-        for watch in self._watches:
-            watch.heard_s = None
-        reason = self._trouble or "closed"
-        for listener in {id(one): one for many in self._listeners.values() for one in many}.values():
-            listener.down(reason)
+        self.ears.down(self._trouble or "closed")
 
     # ------------------------------------------------------------ frames
 
@@ -219,14 +197,11 @@ class CanBus:
 
     def subscribe(self, can_id: int, listener: Listener) -> Callable[[], None]:
         """Hand frames with `can_id` to `listener`; returns what ends that."""
-        self._listeners.setdefault(can_id, []).append(listener)
-        return lambda: self._listeners[can_id].remove(listener)
+        return self.ears.subscribe(can_id, listener)
 
     def watch(self, can_id: int, within_s: float, lost: Callable[[], None]) -> Callable[[], None]:
         """Call `lost` once whenever `can_id`, heard before, is not heard within `within_s`; returns what ends that."""
-        watch = _Watch(can_id, within_s, lost)
-        self._watches.append(watch)
-        return lambda: self._watches.remove(watch)
+        return self.ears.watch(can_id, within_s, lost, asyncio.get_running_loop().time())
 
     def _drain(self, adapter: can.BusABC, file: int | None) -> None:
         """Whatever the adapter holds, without waiting."""
@@ -244,6 +219,23 @@ class CanBus:
             elif file is None or not select.select([file], [], [], 0)[0]:
                 return
 
+    def _lines(self, peer: socket.socket) -> None:
+        """The same of an slcan adapter behind a socket, which the library would read byte by byte."""
+        try:
+            data = peer.recv(READ)
+        except OSError as error:
+            self._fail(f"receive failed: {error}")
+            return
+        if not data:
+            self._fail("receive failed: socket disconnected")
+        lines, self._rest = split(self._rest + data)
+        for line in lines:
+            if line[:1] in FRAMES:
+                try:
+                    self.ears.heard(decode(line), asyncio.get_running_loop().time())
+                except LawicelError:
+                    self.corrupt += 1
+
     def _take(self, message: can.Message) -> None:
         if message.is_error_frame:
             if message.arbitration_id & BUS_OFF:
@@ -252,20 +244,12 @@ class CanBus:
         if len(message.data) != (0 if message.is_remote_frame else message.dlc):
             self.corrupt += 1  # a line that was cut short
             return
-        self._heard_s = asyncio.get_running_loop().time()
         frame = CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_remote_frame)
-        for watch in self._watches:
-            if watch.can_id == frame.can_id:
-                watch.heard_s = self._heard_s
-        for listener in tuple(self._listeners.get(frame.can_id, ())):
-            listener.frame(frame)
+        self.ears.heard(frame, asyncio.get_running_loop().time())
 
     def _look(self, now: float) -> None:
-        for watch in tuple(self._watches):
-            if watch.heard_s is not None and now - watch.heard_s > watch.within_s:
-                watch.heard_s = None
-                watch.lost()
-        if self._watches and now - self._heard_s > SILENCE_S:
+        self.ears.look(now)
+        if self.ears.watching and now - self.ears.heard_s > SILENCE_S:
             self._fail(f"nothing heard for {SILENCE_S:g} s")
 
     def _fail(self, reason: str) -> None:

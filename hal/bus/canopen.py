@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Mapping
 
-from hal.bus.can import Link
+from hal.bus.ears import Link
 from hal.codec import sdo
 from hal.codec.cia301 import (
     DEVICE_TYPE,

@@ -15,7 +15,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.errors import DeviceError, GuardTripped, ImplausibleReading
+from hal.errors import GuardTripped, ImplausibleReading
+from hal.guard.halting import halt_all
 from hal.guard.logic import Trip, Watch, check
 from hal.guard.silence import Silence
 from hal.interfaces import Axis, ForceBlock, ForceSensor, GuardLimits, GuardState
@@ -86,6 +87,9 @@ class InLoopGuard:
         self._windows: list[_Window] = []
         self._task: asyncio.Task[None] | None = None
         self._time_s = 0.0
+
+    async def open(self) -> None:
+        """It is here already."""
 
     @property
     def alive(self) -> bool:
@@ -251,24 +255,9 @@ class InLoopGuard:
     async def _act(self, trip: Trip) -> None:
         self._trip = trip
         self._latch.close("guard", trip.reason)
-        await self._halt(self._axes)
-        ended = self._latch.end(*(axis.name for axis in self._axes))
-        if ended:
-            await self._halt([axis for axis in self._axes if axis.name in ended])
+        self._trip = trip = await halt_all(self._axes, self._latch, trip, self._halt_deadline_s)
         if self._proven is not None and not self._proven.done():
             self._proven.set_result(None)
         for window in self._windows:
             if not window.done.done():
                 window.done.set_exception(GuardTripped(trip.reason, force_n=trip.force_n))
-
-    async def _halt(self, axes: Sequence[Axis]) -> None:
-        await asyncio.gather(*(self._halt_one(axis) for axis in axes))
-
-    async def _halt_one(self, axis: Axis) -> None:
-        try:
-            async with asyncio.timeout(self._halt_deadline_s):
-                await axis.halt()
-        except (DeviceError, TimeoutError) as error:
-            if self._trip is not None:
-                why = f"{self._trip.reason}; {axis.name} did not acknowledge its halt ({error or 'no answer'})"
-                self._trip = Trip(why, self._trip.force_n)

@@ -73,6 +73,18 @@ def check(watch: Watch, block: ForceBlock, now: float) -> tuple[Watch, Trip | No
     return seen, None
 
 
+def overdue(watch: Watch, newest_s: float, beat_s: float, beat_limit_s: float, now: float) -> Trip | None:
+    """The trip that is due at `now` because nothing came: no sample since the one of `newest_s`, or no sign of life of
+    the controller, for longer than `beat_limit_s`, since `beat_s`."""
+    limits = watch.limits
+    if (age_ms := (now - newest_s) * 1e3) > limits.stale_ms:
+        return Trip(f"{limits.label}: the force sensor is silent for {age_ms:.1f} ms (limit {limits.stale_ms:g} ms)")
+    if (silent_s := now - beat_s) > beat_limit_s:
+        silent, limit = silent_s * 1e3, beat_limit_s * 1e3
+        return Trip(f"{limits.label}: the controller is not heard for {silent:.0f} ms (limit {limit:.0f} ms)")
+    return None
+
+
 def _force_trip(limits: GuardLimits, block: ForceBlock) -> Trip:
     """The first sample that is not within the limits, in words."""
     net = block.samples_n - limits.tare_n

@@ -13,8 +13,8 @@ import math
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Literal
 
-from hal.bus.can import Link
 from hal.bus.canopen import Node
+from hal.bus.ears import Link
 from hal.codec import cia402 as drive
 from hal.codec.cia301 import NO_VENDOR, PRODUCT, REVISION, RPDO1, RPDO2, SERIAL, VENDOR, NmtCommand
 from hal.codec.cia402 import Mode, State, Status, Step
@@ -45,6 +45,7 @@ class CanAxis:
         self.unit: Literal["mm", "deg"] = unit
         self.limits = AxisLimits(entry.low, entry.high, entry.max_speed, entry.max_acceleration)
         self._entry = entry
+        self.link = link
         self._controller = controller
         silence_s = MISSED_BEATS * entry.heartbeat_s
         self.node = Node(link, entry.node, name, silence_s=silence_s, reply_s=entry.reply_s)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+from collections.abc import Callable
 
 from hal.codec.force_line import IdentityTold, Sample
 from hal.entries import ForceLineEntry
@@ -24,11 +25,15 @@ KEEP_S = 0.1
 
 
 class SerialForceSensor:
-    """One reader. No task and no thread: the loop reads the port."""
+    """One reader. No task and no thread: the loop reads the port.
 
-    def __init__(self, name: str, entry: ForceLineEntry) -> None:
+    `tap` is handed all samples at once when they come, without gaps, before whoever waits for a block is woken.
+    """
+
+    def __init__(self, name: str, entry: ForceLineEntry, tap: Callable[[ForceBlock], None] | None = None) -> None:
         self._name = name
         self._entry = entry
+        self._tap = tap
         self._stream = Stream(1.0 / entry.rate_hz, max(1, int(KEEP_S * entry.rate_hz)))
         self._link: AmplifierLink | None = None
         self._wanted = False
@@ -149,9 +154,16 @@ class SerialForceSensor:
     # ------------------------------------------------------------ samples
 
     def _take(self, samples: list[Sample]) -> None:
-        came = [self._stream.take(sample.sequence, self._within(sample.force_n)) for sample in samples]
-        if any(came):
+        came = [
+            (self._stream.next - 1, force_n)
+            for sample in samples
+            if self._stream.take(sample.sequence, force_n := self._within(sample.force_n))
+        ]
+        if came:
             self._stream.arrived(asyncio.get_running_loop().time())
+            if self._tap is not None:
+                for block in self._stream.blocks(came):
+                    self._tap(block)
 
     def _within(self, force_n: float) -> float:
         return math.copysign(self._entry.range_n, force_n) if math.isinf(force_n) else force_n

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -123,3 +124,13 @@ class Stream:
         values = [self._kept.popleft()[1] for _ in range(gathering.have)]
         time_s = self._origin_s + gathering.first * self.period_s
         return ForceBlock(gathering.first, time_s, self.period_s, np.array(values, dtype=np.float64))
+
+    def blocks(self, came: list[tuple[int, float]]) -> Iterator[ForceBlock]:
+        """Numbered samples that came together, cut where one is missing."""
+        start = 0
+        for end in range(1, len(came) + 1):
+            if end == len(came) or came[end][0] != came[end - 1][0] + 1:
+                first, part = came[start][0], [force_n for _, force_n in came[start:end]]
+                time_s = self._origin_s + first * self.period_s
+                yield ForceBlock(first, time_s, self.period_s, np.array(part, dtype=np.float64))
+                start = end

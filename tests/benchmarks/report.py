@@ -44,6 +44,7 @@ def report(figures: Json) -> str:
         "bound": _bound,
         "stress": _stress,
         "run": _run,
+        "reaction": _reaction,
     }
     lines = [HEAD]
     for name, writer in writers.items():
@@ -215,6 +216,19 @@ def _run(result: Json) -> list[str]:
     rows = [[name, number(row["passes"]), number(row["seconds"])] for name, row in result["rows"].items()]
     intro = f"The joint of 36 bolts on the twin, {_millions(result['points'])} points a scan, seed {result['seed']}."
     return ["## A whole run", "", intro, "", *table(["CPU", "sum passes", "s"], rows)]
+
+
+def _reaction(result: Json) -> list[str]:
+    ways = {"floor": "bare loop", "process": "guard in its process", "thread": "guard in a thread beside vision"}
+    rows = [
+        [name, *(number(result[key][one]) for one in ("p50_ms", "p99_ms", "max_ms")), str(result[key]["trials"])]
+        for key, name in ways.items()
+    ]
+    intro = f"""From the last byte of a sample above the trip on the pty to the quick stop at the CAN hub, with
+{result["answered_per_s"]:.0f} of {result["asked_per_s"]:.0f} requests a second answered by the API and vision on
+{_millions(result["points"])} points. p99 of the guard's process: {number(result["process_to_floor"])} times the floor;
+of the thread: {number(result["thread_to_process"])} times the process."""
+    return ["## Reaction of the guard", "", intro, "", *table(["way", "p50, ms", "p99, ms", "max, ms", "trials"], rows)]
 
 
 def plot(figures: Json) -> str:

@@ -26,7 +26,8 @@ CATCH_UP_S = 0.002
 
 
 def wire_cell(folder: Path, **numbers: Any) -> CellConfig:
-    """The wire cell at free ports of this machine, its files below `folder`, behind a fine camera.
+    """The wire cell at free ports of this machine, its files below `folder`, behind a fine camera, its guard in the
+    loop: a process of its own has a clock that cannot be quickened.
 
     `numbers` replace those keys of every entry that has them.
     """
@@ -46,6 +47,7 @@ def wire_cell(folder: Path, **numbers: Any) -> CellConfig:
         update={
             "devices": config.devices.model_copy(update=devices),
             "can": can,
+            "guard": config.guard.model_copy(update={"process": "in_loop"}),
             "calibration": calibration,
             "twin": twin,
             "path": folder / "deploy" / CELL.name,

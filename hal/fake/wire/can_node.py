@@ -21,6 +21,8 @@ from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.fake.wire.drive import Drive
 
+UNREAD_S = 0.002
+"""What has come is read within this."""
 BOOT_S = 0.2
 """From supply to boot-up message."""
 _TEXTS = {0x1008: b"servo drive", 0x100A: b"1.0"}
@@ -106,7 +108,11 @@ class CanNode:
         """The consumer heartbeat begins with the first beat of whom it is set to (CiA 301, 7.2.8.3.2.2)."""
         expected, time_ms = divmod(self._value(cia.CONSUMER_HEARTBEAT), 1 << 16)
         if node == expected and time_ms > 0:
-            self._again("controller", time_ms * 1e-3, self._missed)
+            self._again("controller", time_ms * 1e-3, self._overdue)
+
+    def _overdue(self) -> None:
+        """On a desk that was busy the beats may have come, and not been read yet."""
+        self._again("controller", UNREAD_S, self._missed)
 
     def _missed(self) -> None:
         self._tell(HEARTBEAT_ERROR)

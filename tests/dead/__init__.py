@@ -1,0 +1,1 @@
+"""Trips raced with motion commands, and dead processes at random moments: nothing moves again unasked."""
