@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 from cellctl.assembly import Assembly, Bench
 from cellctl.assembly import Order as AssemblyOrder
+from cellctl.believed_twin import numbers_of
 from cellctl.calibration import Calibration, load_calibration
 from cellctl.controller import Snapshot
 from cellctl.dry_runs import TwinOutcome
@@ -204,7 +205,8 @@ class _Tried:
 
 def run_on_twin(recipe: Recipe, config: CellConfig, seed: int) -> TwinOutcome:
     """A run in virtual time on an ideal twin that knows nothing of the cell's own plant. Blocking."""
-    twin = config.twin.model_copy(update={"level": "ideal", "overrides": {}, "points": DRY_RUN_POINTS})
+    believed = numbers_of(load_calibration(config.calibration_path))
+    twin = config.twin.model_copy(update={"level": "ideal", "overrides": believed, "points": DRY_RUN_POINTS})
     private = config.on_fakes().model_copy(update={"twin": twin})
     with TemporaryDirectory(prefix="cellctl-dry-run-") as folder:
         outcome = run_once(RunRequest(recipe, private, seed, Path(folder), keep="none"))

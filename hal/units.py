@@ -32,3 +32,6 @@ Watt = Annotated[float, _unit("W")]
 Bar = Annotated[float, _unit("bar")]
 PerKelvin = Annotated[float, _unit("1/K")]
 Fraction = Annotated[float, _unit("1")]
+
+GRAVITY_M_S2 = 9.80665
+"""Standard acceleration of free fall (3rd CGPM, 1901)."""

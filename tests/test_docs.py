@@ -28,7 +28,7 @@ DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TOP = ("cellctl", "deploy", "docs", "hal", "recipes", "tests")
 """Folders whose paths are looked up; `data/` is made by the service."""
 SUFFIXES = (".py", ".toml", ".json", ".md", ".js", ".html")
-MADE_BY_READER = ("cold.toml", "scan.html", "scans.html")
+MADE_BY_READER = ("cold.toml", "scan.html", "scans.html", "calibration.toml")
 ROTOR_FACE_MM = 400.0
 NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
 every_document = pytest.mark.parametrize("document", DOCUMENTS, ids=NAMES)

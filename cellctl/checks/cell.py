@@ -6,8 +6,8 @@ from cellctl.calibration import Calibration
 from cellctl.checks.finding import Finding
 from cellctl.recipe import Recipe
 from hal.config import CellConfig
+from hal.units import GRAVITY_M_S2
 
-GRAVITY_M_S2 = 9.80665
 NAME = "cell_limits"
 
 

@@ -61,7 +61,10 @@ def _motions(calibration: Calibration, measured_at: AxesPosition, target: AxesPo
     angles = [np.radians(stage.sigma_table_deg), encoder, np.radians(jack.sigma_roll_deg)]
     shifts = [stage.sigma_position_mm, jack.sigma_position_mm]
     along_x, along_y, about = np.eye(3)
-    return np.array([shift * axis for shift in shifts for axis in (along_x, along_y)] + [a * about for a in angles])
+    way_x, way_y = target.x_mm - measured_at.x_mm, target.y_mm - measured_at.y_mm
+    askew = np.radians(stage.sigma_direction_deg) * np.array([way_x * along_y, way_y * along_x])
+    moved = [shift * axis for shift in shifts for axis in (along_x, along_y)] + [a * about for a in angles]
+    return np.concatenate([moved, askew])
 
 
 def _worlds(
@@ -83,27 +86,30 @@ def _worlds(
 
 
 def _view_errors(calibration: Calibration, view: str) -> Iterator[Array]:
-    """Rigid errors (4, 4) of one view: three turns about the scanner, three shifts."""
+    """Rigid errors (4, 4) of one view, one for each independent cause: a turn about the scanner and a shift."""
     belief = calibration.views["rotor" if view == "rotor" else "shaft"]
     scanner = belief.matrix[:3, 3]
-    for axis in np.eye(3):
-        yield _about(scanner, rotation_about(axis, np.radians(belief.sigma_rotation_deg)))
-        shift = np.eye(4)
-        shift[:3, 3] = axis * belief.sigma_translation_mm
-        yield shift
+    for error in belief.errors().T:
+        pose = _about(scanner, _turned(error[:3]))
+        pose[:3, 3] += error[3:]
+        yield pose
 
 
 def _axis_errors(calibration: Calibration) -> Iterator[Calibration]:
-    """Calibrations with one direction or position of table axis or jack line off by one sigma."""
+    """Calibrations with table axis or jack line off by one sigma of each independent cause."""
     for name in ("table_axis", "jack_line"):
         line: AxisLine = getattr(calibration, name)
-        for axis in np.eye(3)[:2]:
-            turned = rotation_about(axis, np.radians(line.sigma_direction_deg)) @ np.array(line.direction)
-            yield _with(calibration, name, line.model_copy(update={"direction": tuple(turned)}))
-        if name == "table_axis":
-            for axis in np.eye(3)[:2]:
-                point = np.array(line.point_mm) + line.sigma_position_mm * axis
-                yield _with(calibration, name, line.model_copy(update={"point_mm": tuple(point)}))
+        for error in line.errors(placed=name == "table_axis").T:
+            direction = _turned(np.array([*error[2:], 0.0])) @ np.array(line.direction)
+            point = np.array(line.point_mm) + np.array([*error[:2], 0.0])
+            moved = {"direction": tuple(direction), "point_mm": tuple(point)}
+            yield _with(calibration, name, line.model_copy(update=moved))
+
+
+def _turned(turn_deg: Array) -> Array:
+    """(3, 3) rotation by the vector (3,) in degrees."""
+    angle = float(np.linalg.norm(turn_deg))
+    return rotation_about(turn_deg / angle, np.radians(angle)) if angle > 0.0 else np.eye(3)
 
 
 def _with(calibration: Calibration, name: str, line: AxisLine) -> Calibration:

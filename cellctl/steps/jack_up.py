@@ -13,8 +13,8 @@ from cellctl.steps.results import Aligned, Insertion
 from cellctl.steps.together import together
 from hal.errors import GuardTripped, Interrupted
 from hal.interfaces import GuardLimits, GuardState
+from hal.units import GRAVITY_M_S2
 
-GRAVITY_M_S2 = 9.80665
 SEGMENT_MM = 2.0
 """Between two checkpoints: a hold never waits for longer than one segment of the insertion."""
 CREEP_MM = 2.0
@@ -59,7 +59,7 @@ async def jack_up(run: RunContext, aligned: Aligned) -> Insertion:
 
 async def _weigh(run: RunContext) -> float:
     block = await run.interlock.window(run.recipe.jack_up.tare_seconds_s)
-    weight = float(np.mean(block.samples_n)) * run.calibration.jack_force.gain
+    weight = run.calibration.jack_force.true_n(float(np.mean(block.samples_n)))
     expected = run.recipe.limits.shaft_mass_kg * GRAVITY_M_S2
     await run.ledger.note("weight", {"weight_n": weight, "expected_n": expected})
     allowed = run.recipe.jack_up.weight_tolerance * expected
@@ -76,8 +76,8 @@ async def _approach(run: RunContext, aligned: Aligned, weight_n: float) -> Tare:
     recipe = run.recipe
     start = aligned.alignment.approach_z_mm
     await run.checkpoint()
-    gain = run.calibration.jack_force.gain
-    limits = guard_limits(run, "approach", weight_n / gain, recipe.jack_up.approach_force_limit_n / gain)
+    gain, offset_n = run.calibration.jack_force.gain, run.calibration.jack_force.offset_n
+    limits = guard_limits(run, "approach", weight_n / gain + offset_n, recipe.jack_up.approach_force_limit_n / gain)
     state = await guarded_move(run, start, recipe.jack_up.approach_speed_mm_s, limits)
     _require_free(state)
     state, block = await together(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from cellctl.vision.geometry import Array, Points, inverse, transform
@@ -9,6 +11,39 @@ from cellctl.vision.part import Refused
 
 MIN_POINTS = 60
 """A cap of fewer points does not fix a sphere."""
+
+
+@dataclass(frozen=True, slots=True)
+class SphereFit:
+    """Centre (3,) of a sphere, scanner frame; its covariance (3, 3) is `sigma_mm` squared times `cofactor`.
+
+    `sigma_mm` is the robust scale of the residuals across the surface. The cofactor takes points for independent.
+    """
+
+    center_mm: Array
+    cofactor: Array
+    sigma_mm: float
+
+
+def sphere_fits(
+    points: Points,
+    T_cell_scanner: Array,
+    expected_centres_cell_mm: Array,
+    diameter_mm: float,
+    *,
+    search_mm: float = 8.0,
+) -> tuple[SphereFit, ...]:
+    """Every sphere of the artefact, in the scanner frame. As `artefact_residuals` in all else."""
+    flat = points.reshape(-1, 3)
+    expected = transform(inverse(T_cell_scanner), np.asarray(expected_centres_cell_mm, dtype=np.float64))
+    radius = 0.5 * diameter_mm
+    fits = []
+    for i, place in enumerate(expected):
+        found = fit_sphere(_around(flat, place, radius + search_mm), place, radius, search_mm)
+        if found is None:
+            raise Refused("artefact_moved", f"sphere {i} of the artefact is not within {search_mm:g} mm of its place")
+        fits.append(found)
+    return tuple(fits)
 
 
 def artefact_residuals(
@@ -25,20 +60,13 @@ def artefact_residuals(
     searched within `search_mm` of its place. Raises Refused artefact_moved where one is not found there; how large a
     residual may be is the caller's gate.
     """
-    flat = points.reshape(-1, 3)
-    expected = transform(inverse(T_cell_scanner), np.asarray(expected_centres_cell_mm, dtype=np.float64))
-    radius = 0.5 * diameter_mm
-    residuals = np.empty_like(expected)
-    for i, place in enumerate(expected):
-        found = fit_sphere(_around(flat, place, radius + search_mm), place, radius, search_mm)
-        if found is None:
-            raise Refused("artefact_moved", f"sphere {i} of the artefact is not within {search_mm:g} mm of its place")
-        residuals[i] = T_cell_scanner[:3, :3] @ (found - place)
-    return residuals
+    fits = sphere_fits(points, T_cell_scanner, expected_centres_cell_mm, diameter_mm, search_mm=search_mm)
+    seen = transform(T_cell_scanner, np.array([fit.center_mm for fit in fits]))
+    return np.asarray(seen - np.asarray(expected_centres_cell_mm, dtype=np.float64))
 
 
-def fit_sphere(points: Array, start: Array, radius_mm: float, search_mm: float) -> Array | None:
-    """Centre (3,) of a sphere of certified radius near `start`, or None. Rays come from the origin.
+def fit_sphere(points: Array, start: Array, radius_mm: float, search_mm: float) -> SphereFit | None:
+    """A sphere of certified radius near `start`, or None. Rays come from the origin.
 
     Robust least squares of the depth along each ray; the noise there grows with one over the cosine of incidence.
     Started from the best of a coarse search, because posts and stems stand beside the sphere.
@@ -69,7 +97,7 @@ def fit_sphere(points: Array, start: Array, radius_mm: float, search_mm: float) 
     share = int(np.count_nonzero(used)) / max(int(np.count_nonzero(cosine > 0.35)), 1)
     if np.linalg.norm(centre - start) > search_mm or scale > 0.02 * radius_mm or share < 0.5:
         return None
-    return np.asarray(centre)
+    return SphereFit(np.asarray(centre), np.linalg.inv(normal), scale)
 
 
 def _around(flat: Points, place: Array, reach: float) -> Array:

@@ -102,6 +102,8 @@ class Properties:
     force_creep_s: float = _n(600.0, "s")
     force_gain: float = _n(1.0, "1")
     """Reading over true force."""
+    force_offset_n: float = _n(0.0, "N")
+    """Reading with nothing on the sensor."""
     brake_delay_s: float = _n(0.05, "s")
     brake_late_s: float = _n(0.0, "s")
     """The brake closes so long after the torque has gone: the load falls meanwhile."""
@@ -138,6 +140,9 @@ class Properties:
     camera_shaft_rotation_x_deg: float = _n(0.0, "deg")
     camera_shaft_rotation_y_deg: float = _n(0.0, "deg")
     camera_shaft_rotation_deg: float = _n(0.0, "deg")
+    stage_x_turn_deg: float = _n(0.0, "deg")
+    """The stage's x axis is turned about cell z by this angle; likewise y."""
+    stage_y_turn_deg: float = _n(0.0, "deg")
     table_axis_shift_x_mm: float = _n(0.0, "mm")
     table_axis_shift_y_mm: float = _n(0.0, "mm")
     table_axis_tilt_x_deg: float = _n(0.0, "deg")

@@ -66,6 +66,8 @@ class CellTruth:
     """Of x, y and jack."""
     scale: Array
     """Of x, y and jack, relative."""
+    stage: Array
+    """(2, 2) rows: directions of x and y in the cell's plane."""
     force_gain: float
     guide_friction_n: Array
     """(3,): constant part, amplitude and phase of the part that varies with height."""
@@ -141,6 +143,7 @@ def draw_cell(bench: BenchGeometry, numbers: TwinNumbers, seed: int) -> CellTrut
         roll_rad=normal("roll", math.radians(table.jack_roll_deg), 3) * waves,
         backlash_mm=np.abs(normal("backlash", table.axis_backlash_mm, 3)),
         scale=normal("scale", table.axis_scale, 3),
+        stage=_stage(true.stage_x_turn_deg, true.stage_y_turn_deg),
         force_gain=float(true.force_gain * (1.0 + normal("force gain", table.force_gain, 1)[0])),
         guide_friction_n=np.array(
             [table.guide_friction_n, 0.1 * table.guide_friction_n, friction.uniform(0.0, 2.0 * math.pi)]
@@ -162,6 +165,11 @@ def _view_error(numbers: TwinNumbers, seed: int, view: str) -> Array:
         shift += true.camera_shaft_shift_x_mm, true.camera_shaft_shift_y_mm, true.camera_shaft_shift_z_mm
         rotation += true.camera_shaft_rotation_x_deg, true.camera_shaft_rotation_y_deg, true.camera_shaft_rotation_deg
     return small_pose(shift, rotation)
+
+
+def _stage(x_turn_deg: float, y_turn_deg: float) -> Array:
+    x, y = np.radians([x_turn_deg, y_turn_deg])
+    return np.array([[np.cos(x), np.sin(x)], [-np.sin(y), np.cos(y)]])
 
 
 def _or(value: float, nominal: float) -> float:

@@ -11,6 +11,7 @@ How a fake uses it (always `advance` first; time is the event loop's)::
     plant.closing_resistance_n()                      # axial force that closes the joint now
     plant.rotor, plant.shaft, plant.cell              # RotorTruth, ShaftTruth, CellTruth (features, axes errors)
     plant.load_parts("R-1", "S-1")                    # other parts, drawn from seed and serial numbers
+    plant.bare, plant.probe_mm(0)                     # a fixture (hal.fake.fixtures) in place of both parts
     plant.set_chuck(clamped=True), plant.turn_shaft(0.01)      # shaft turned in its chuck by reaction torque, deg
     plant.camera = "parked" | "rotor" | "shaft" | "moving"     # where the camera's arm is
     plant.thermal, plant.joints                       # heat and nuts, see hal.fake.slots
@@ -26,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -34,19 +35,21 @@ from numpy.typing import NDArray
 
 from hal.fake.contact.engagement import Engagement, closing_resistance_n
 from hal.fake.contact.insertion import Dock
+from hal.fake.fixtures import MANDREL, MANDREL_KG, Mandrel, draw_mandrel, weight_kg
 from hal.fake.frames import child_rng
 from hal.fake.geometry import BenchGeometry, JointGeometry
 from hal.fake.levels import Level, TwinNumbers, numbers
 from hal.fake.motion import AxisMotion, Trajectory
 from hal.fake.parts import RotorTruth, ShaftTruth, draw_cell, draw_rotor, draw_shaft
 from hal.fake.slots import Isothermal, JointsTruth, Loose, ThermalTruth
-from hal.fake.stack import Motors
+from hal.fake.stack import Motors, T_cell_table
+from hal.units import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
 CameraPlace = Literal["parked", "rotor", "shaft", "moving"]
 STEP_S = 0.25
 """Between two looks at the heat while the spigot engages."""
-GRAVITY_MM_S2 = 9806.65
+GRAVITY_MM_S2 = 1e3 * GRAVITY_M_S2
 GUIDE_PITCH_MM = 40.0
 """Over which the guides' friction varies: the pitch of the balls' recirculation."""
 CLOSED_N = 50_000.0
@@ -94,16 +97,23 @@ class Plant:
         return child_rng(self.settings.seed, *names)
 
     def load_parts(self, rotor_serial: str, shaft_serial: str) -> None:
-        """Put another rotor and shaft in: same serial numbers, same parts."""
+        """Put another rotor and shaft in: same serial numbers, same parts. A fixture comes in place of both."""
         seed = self.settings.seed
         self.rotor = draw_rotor(self.geometry, self.bench, self.numbers, seed, rotor_serial)
         self.shaft = draw_shaft(self.geometry, self.numbers, seed, shaft_serial)
+        axis_mm = self.cell.table_point_mm[:2]
+        self.mandrel = draw_mandrel(seed, shaft_serial, axis_mm) if shaft_serial.startswith(MANDREL) else None
+        mass_kg = MANDREL_KG if self.mandrel else weight_kg(seed, shaft_serial)
+        self.bare = mass_kg is not None
+        if mass_kg is not None:
+            self.shaft = replace(self.shaft, mass_kg=mass_kg)
         self.slip_deg = 0.0
         self.loaded_s = self.now
         self._last_gap_mm = self.bench.rotor_face_mm - self.motion["jack"].position(self.now)
         self._gripped_mm = math.inf
         self.engagement = Engagement(self.geometry.count)
         self.damages = []
+        self._bracket_mm = self._mandrel_mm(self.mandrel) if self.mandrel else np.zeros(2)
 
     def damage(self, what: str) -> None:
         """Note once that something was hit or overloaded."""
@@ -155,10 +165,12 @@ class Plant:
 
     def _reaches(self, motor_mm: float) -> bool:
         """Whether studs and shaft can touch with the jack at `motor_mm`; a millimetre early."""
-        return self.bench.rotor_face_mm - motor_mm < self.geometry.entry_gap_mm + 1.0
+        return not self.bare and self.bench.rotor_face_mm - motor_mm < self.geometry.entry_gap_mm + 1.0
 
     def _collide(self, before: float) -> None:
         """Things that may not share a volume, looked at over [before, now]."""
+        if self.camera != "parked" and self.mandrel is not None:
+            self.damage("the mandrel hit the camera's arm")
         if self.camera != "parked":
             jack = self.motion["jack"]
             if max(jack.position(before), jack.position(self.now)) > self.bench.camera_clear_height_mm:
@@ -270,6 +282,18 @@ class Plant:
         mean = max(self.bench.rotor_face_mm - float(point[2]), 0.0)
         rise = float((x_mm - point[0]) * normal[0] + (y_mm - point[1]) * normal[1]) / float(normal[2])
         return max(mean + self.dock().faces().share_of_tilt(mean) * rise, 0.0)
+
+    def probe_mm(self, number: int) -> float | None:
+        """What gap probe 0, 1 or 2 on its bracket is away from the mandrel; None while the probes are at the joint."""
+        if self.mandrel is None:
+            return None
+        return self.mandrel.probe_mm(number, self._mandrel_mm(self.mandrel) - self._bracket_mm)
+
+    def _mandrel_mm(self, mandrel: Mandrel) -> Array:
+        """(2,) where its axis passes the height of the probes; the bracket was set up round it."""
+        dock = self.dock()
+        height = dock.true_mm(np.array([dock.motors.z_mm]))
+        return mandrel.axis_at(T_cell_table(self.cell, dock.motors, height, self.bench.jack_stroke_mm)[0])
 
     # ------------------------------------------------------------ forces
 

@@ -58,8 +58,10 @@ def T_cell_table(cell: CellTruth, at: Motors, z_mm: Array, stroke_mm: float) -> 
     offset = cell.table_point_mm - spin @ cell.table_point_mm + np.array([*walk, 0.0])
     rolled = rotation_z(roll)
     shift = np.empty((*height.shape, 3))
-    shift[..., 0] = drift[..., 0] + float(true_linear_mm(cell, 0, np.array(at.x_mm), at.directions[0]))
-    shift[..., 1] = drift[..., 1] + float(true_linear_mm(cell, 1, np.array(at.y_mm), at.directions[1]))
+    x = float(true_linear_mm(cell, 0, np.array(at.x_mm), at.directions[0]))
+    y = float(true_linear_mm(cell, 1, np.array(at.y_mm), at.directions[1]))
+    shift[..., 0] = drift[..., 0] + x * cell.stage[0, 0] + y * cell.stage[1, 0]
+    shift[..., 1] = drift[..., 1] + x * cell.stage[0, 1] + y * cell.stage[1, 1]
     shift[..., 2] = height
     matrix = np.zeros((*height.shape, 4, 4))
     matrix[..., :3, :3] = rolled @ spin

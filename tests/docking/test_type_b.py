@@ -117,3 +117,23 @@ def test_jacobian_is_the_derivative_of_the_offsets() -> None:
     step = np.array([1e-3, -2e-3, np.radians(1e-4)])
     np.testing.assert_allclose(turned - offsets, jacobian @ step, atol=1e-8)
     np.testing.assert_allclose(basis_of(cal), np.eye(3), atol=1e-12)
+
+
+def test_a_covariance_moves_turn_and_shift_together() -> None:
+    views = dict(calibration().views)
+    turn = 0.01
+    # A scanner turned about y by so much, and shifted so that the rotor's face keeps its place.
+    error = np.array([0.0, turn, 0.0, -350.0 * np.radians(turn), 0.0, 0.0])
+    quiet = {"sigma_rotation_deg": 0.0, "sigma_translation_mm": 0.0}
+    views["shaft"] = views["shaft"].model_copy(update=quiet)
+    views["rotor"] = views["rotor"].model_copy(update={"covariance": tuple(map(tuple, np.outer(error, error)))})
+    sigma = np.sqrt(np.diag(covariance(views=views)))
+    assert sigma[0] < 0.1 * 350.0 * np.radians(turn)
+
+
+def test_a_stage_askew_acts_over_its_travel() -> None:
+    quiet = {"sigma_position_mm": 0.0, "sigma_table_deg": 0.0, "sigma_encoder_deg": 0.0}
+    stage = calibration().stage.model_copy(update=quiet | {"sigma_direction_deg": 0.01})
+    sigma = np.sqrt(np.diag(covariance(at=AxesPosition(5.0, 0.0, 0.0, 0.0), stage=stage)))
+    assert sigma[1] == pytest.approx(5.0 * np.radians(0.01), rel=1e-3)
+    assert sigma[0] == pytest.approx(0.0, abs=1e-9)

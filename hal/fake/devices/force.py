@@ -1,6 +1,6 @@
 """Fake load cell under the shaft, `hal.interfaces.ForceSensor`: the plant's jack force through a real sensor.
 
-reading = gain (F + linearity + hysteresis + creep) + noise, of the force one filter delay ago, clipped to the range.
+reading = gain (F + linearity + hysteresis + creep) + offset + noise, of the force one filter delay ago, in the range.
 Samples are numbered on a grid of their own since connect; the noise of a sample depends on its number alone, so that
 the same stream comes out however it is read. While the plant's motion stays as it is the samples to come are known:
 they are computed ahead in one go, and a reader sleeps until its last one or the first that is out of its window.
@@ -21,6 +21,7 @@ from hal.fake.faults import FaultBook
 from hal.fake.motion import CLOCK_S
 from hal.fake.plant import Plant
 from hal.interfaces import ForceBlock, Identity, SafeState
+from hal.units import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
 
@@ -199,13 +200,13 @@ class FakeForceSensor:
         time_s = start_s + numbers / self._rate_hz
         at_s = time_s - true.force_delay_s
         force = plant.jack_force_n(at_s)
-        weight = plant.shaft.mass_kg * 9.80665
+        weight = plant.shaft.mass_kg * GRAVITY_M_S2
         share = force / self._range_n
         linearity = table.force_linearity * self._range_n * 4.0 * share * (1.0 - share)
         hysteresis = table.force_hysteresis * (force - weight) * plant.motion["jack"].direction
         creep = table.force_creep * weight * -np.expm1(-np.maximum(at_s - plant.loaded_s, 0.0) / true.force_creep_s)
         reading = plant.cell.force_gain * (force + linearity + hysteresis + creep)
-        reading = reading + table.force_noise_n * self._noise(first, count)
+        reading = reading + true.force_offset_n + table.force_noise_n * self._noise(first, count)
         return np.asarray(np.clip(reading, -self._range_n, self._range_n))
 
     def _noise(self, first: int, count: int) -> Array:

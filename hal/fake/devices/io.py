@@ -118,7 +118,8 @@ class ProbeData:
 
 
 class FakeGapProbe(IoDevice):
-    """Implements `hal.interfaces.GapProbe`: true distance of the faces at its place, plus noise."""
+    """Implements `hal.interfaces.GapProbe`: true distance of the faces at its place, plus noise. With a mandrel in the
+    chuck it is on the bracket beside it (`hal.fake.fixtures`)."""
 
     model = "gap probe"
 
@@ -128,6 +129,7 @@ class FakeGapProbe(IoDevice):
         if name not in PROBE_PLACES:
             raise ConfigError("has no place at the joint", place=f"devices.{name}")
         self._data = data or ProbeData()
+        self._number = tuple(PROBE_PLACES).index(name)
         angle = math.radians(PROBE_PLACES[name])
         self._at_mm = (self._data.radius_mm * math.cos(angle), self._data.radius_mm * math.sin(angle))
         self._rng: np.random.Generator = plant.rng(name, "noise")
@@ -135,7 +137,9 @@ class FakeGapProbe(IoDevice):
     async def read(self) -> Reading:
         """Gap in mm; BAD beyond the range."""
         now = await self._exchange("read")
-        gap_mm = self._plant.gap_at(*self._at_mm) + self._data.noise_mm * float(self._rng.standard_normal())
+        aside_mm = self._plant.probe_mm(self._number)
+        true_mm = self._plant.gap_at(*self._at_mm) if aside_mm is None else aside_mm
+        gap_mm = true_mm + self._data.noise_mm * float(self._rng.standard_normal())
         reading = self._faults.reading(self.name, gap_mm, now)
         if reading.value > self._data.range_mm:
             return Reading(self._data.range_mm, reading.time_s, Quality.BAD)

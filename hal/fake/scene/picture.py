@@ -22,9 +22,11 @@ BORE_DEPTH_MM = 60.0
 
 def picture_of(plant: Plant, view: View, points: int) -> SceneState:
     """What the camera stands before in `view`, with about `points` pixels. The plant has been advanced to now."""
+    both = ((plant.T_cell_shaft(), shaft_shape(plant)), (plant.T_cell_rotor(), rotor_shape(plant)))
+    parts = () if plant.bare else both
     return SceneState(
         T_cell_camera=plant.T_cell_camera("rotor" if view in ("rotor", "artefact_rotor") else "shaft"),
-        parts=((plant.T_cell_shaft(), shaft_shape(plant)), (plant.T_cell_rotor(), rotor_shape(plant))),
+        parts=parts,
         clutter=BenchFurniture().clutter(),
         camera=camera_for(points),
         errors=scan_errors(plant),

@@ -72,13 +72,13 @@ def test_noise_gain_and_creep_are_those_of_the_truth() -> None:
         block = await sensor.block(5000)
         gain = plant.cell.force_gain
         assert np.std(block.samples_n) == pytest.approx(0.1, rel=0.1)
-        assert np.mean(block.samples_n) == pytest.approx(gain * plant.shaft.mass_kg * 9.80665, abs=3.0)
+        assert np.mean(block.samples_n) == pytest.approx(gain * plant.shaft.mass_kg * 9.80665 + 20.0, abs=3.0)
         await asyncio.sleep(3000.0)
         later = await sensor.block(5000)
         creep = np.mean(later.samples_n) - np.mean(block.samples_n)
         assert creep == pytest.approx(0.0002 * gain * plant.shaft.mass_kg * 9.80665, rel=0.1)
 
-    plant = plant_of(overrides={"force_gain": 1.1})
+    plant = plant_of(overrides={"force_gain": 1.1, "force_offset_n": 20.0})
     with_sensor(plant, case)
 
 

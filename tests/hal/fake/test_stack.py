@@ -76,3 +76,10 @@ def test_a_shifted_table_axis_swings_the_shaft() -> None:
     cell = draw_cell(BenchGeometry(), numbers("ideal", {"table_axis_shift_x_mm": 0.2}), 1)
     half = T_cell_table(cell, Motors(0.0, 0.0, 0.0, 180.0), np.array(0.0), STROKE)
     assert half[:3, 3] == pytest.approx([0.4, 0.0, 0.0], abs=1e-12)
+
+
+def test_a_stage_out_of_square_goes_where_its_axes_point() -> None:
+    askew = draw_cell(BenchGeometry(), numbers("ideal", {"stage_x_turn_deg": 1.0, "stage_y_turn_deg": -2.0}), 1)
+    moved = T_cell_table(askew, Motors(5.0, 3.0, 0.0, 0.0), np.array(0.0), STROKE)[:2, 3]
+    x, y = np.radians([1.0, -2.0])
+    assert moved == pytest.approx([5.0 * np.cos(x) - 3.0 * np.sin(y), 5.0 * np.sin(x) + 3.0 * np.cos(y)])
