@@ -14,7 +14,9 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VEC
 """Sums must not depend on how many threads a machine has: the same input gives the same bits. Read by the numeric
 libraries when they are first imported, so set before any command is."""
 
-COMMANDS = ("demo", "serve", "simulate", "run", "measure", "validate", "study", "verify", "report")
+COMMANDS = (
+    "demo", "serve", "simulate", "run", "measure", "validate", "study", "verify", "report", "devices", "jog", "capture",
+)  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

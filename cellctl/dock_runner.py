@@ -24,7 +24,7 @@ from cellctl.steps.align import align_shaft
 from cellctl.steps.jack_up import jack_up
 from cellctl.steps.results import Aligned, Insertion
 from cellctl.steps.scan import prepare, scan
-from cellctl.twin import FakeCell, fake_cell, geometry_of
+from cellctl.twin import FakeCell, fake_cell, geometry_of, truth_limits
 from cellctl.vision.worker import VisionWorker
 from hal.clock import run_virtual
 from hal.config import CellConfig
@@ -195,7 +195,7 @@ def _outcome(
     refused: str,
     reason: str,
 ) -> DockOutcome:
-    truth, tries = truth_of(plant), insertion.tries if insertion else 0
+    truth, tries = truth_of(plant, truth_limits(request.recipe)), insertion.tries if insertion else 0
     inserted = truth.inserted and insertion is not None
     peak_n = max(truth.peak_force_per_bolt_n)
     return DockOutcome(

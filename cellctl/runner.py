@@ -30,7 +30,7 @@ from cellctl.scan_gates import gates_of
 from cellctl.service_rules import real_devices
 from cellctl.stamps import Stamps, VirtualStamps, WallStamps
 from cellctl.states import Command, State
-from cellctl.twin import StandingCell, standing_cell
+from cellctl.twin import StandingCell, standing_cell, truth_limits
 from cellctl.vision.worker import WARM, VisionWorker
 from hal.cell import Cell
 from hal.clock import run_virtual
@@ -170,7 +170,7 @@ async def run_here(request: RunRequest) -> Outcome:
         await made.connect()
     except DeviceError as error:
         await cell.close()
-        return Outcome("Stopped", "held", (str(error),), request.seed, 0.0, None, _truth(made.twin), None)
+        return Outcome("Stopped", "held", (str(error),), request.seed, 0.0, None, _truth(request, made.twin), None)
     state = await _to_the_end(controller, cell, made.assembly)
     why = controller.snapshot().why
     await controller.shutdown()
@@ -183,13 +183,13 @@ async def run_here(request: RunRequest) -> Outcome:
         seed=request.seed,
         wall_time_s=0.0,
         summary=summary,
-        truth=_truth(made.twin),
+        truth=_truth(request, made.twin),
         record=made.store.record_path(run_id),
     )
 
 
-def _truth(cell: StandingCell) -> Truth | None:
-    return truth_of(cell.behind.plant) if cell.behind is not None else None
+def _truth(request: RunRequest, cell: StandingCell) -> Truth | None:
+    return truth_of(cell.behind.plant, truth_limits(request.recipe)) if cell.behind is not None else None
 
 
 async def _to_the_end(controller: Controller, cell: Cell, assembly: Assembly) -> State:

@@ -23,6 +23,7 @@ from hal.fake.faults import FaultBook
 from hal.fake.geometry import JointGeometry
 from hal.fake.plant import Plant, TwinSettings
 from hal.fake.scene.render import SceneState, render
+from hal.fake.truth import TruthLimits
 from hal.jobs import Jobs
 
 RENDERING = ("hal.fake.scene.render",)
@@ -115,6 +116,17 @@ def geometry_of(recipe: Recipe) -> JointGeometry:
         heated_member=recipe.heat.member,
         expansion_per_k=recipe.heat.expansion_per_k,
         shaft_mass_kg=recipe.limits.shaft_mass_kg,
+    )
+
+
+def truth_limits(recipe: Recipe) -> TruthLimits:
+    """What makes a joint of `recipe` good: its own limits of gap and preload, its force per stud."""
+    limits = recipe.limits
+    return TruthLimits(
+        force_per_bolt_n=recipe.jack_up.force_limit_n,
+        gap_mm=limits.gap_mm,
+        preload_low_n=limits.preload_low_n,
+        preload_high_n=limits.preload_high_n,
     )
 
 

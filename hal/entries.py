@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hal.interfaces import View
 from hal.units import Fraction, Seconds, Watt
 
 BY_KIND = Field(discriminator="kind")
@@ -132,6 +133,23 @@ class FileDropEntry(Section):
     frame_s: Seconds = Field(default=10.0, gt=0)
 
 
+class GentlEntry(Section):
+    """A scanner behind a GenTL producer (the path of a .cti file; "socket://HOST:PORT" for a simulated one).
+
+    `serial` names the camera where the producer shows several. With `trigger` "free" the camera gives frames from the
+    start of an acquisition on by itself. `user_sets` are the camera's own settings to be loaded for each view. It
+    answers within `reply_s`, or is ended; a frame comes within `frame_s`.
+    """
+
+    kind: Literal["gentl"]
+    producer: str
+    serial: str = ""
+    trigger: Literal["software", "free"] = "software"
+    user_sets: dict[View, str] = Field(default_factory=dict)
+    reply_s: Seconds = Field(default=4.0, gt=0)
+    frame_s: Seconds = Field(default=10.0, gt=0)
+
+
 class HeaterEntry(Section):
     """The heater controller."""
 
@@ -145,22 +163,53 @@ class PlainEntry(Section):
     kind: Literal["fake"]
 
 
-class OpenProtocolEntry(Section):
-    """A tightening gun behind an Open Protocol controller.
+class GunEntry(Section):
+    """A tightening gun behind a controller of its own. `serial` is checked where it is given.
 
-    `serial` is the controller's, checked where it is given. `start_input` and `running_relay` are the controller's
-    functions "remote start" and "tool running"; `estop_alarms` are the codes of its alarms that mean that the
-    hard-wired circuit took its power; `trace_order` is the byte order of its curves.
+    Each maker's entry says where its two ends are made, `backend(name, entry)` and `simulator(name, entry, plant,
+    faults, programs)`: what composes a cell knows no maker.
     """
 
-    kind: Literal["open_protocol"]
+    backend: ClassVar[str]
+    simulator: ClassVar[str]
     host: str
-    port: int = Field(default=4545, ge=1, le=65535)
+    port: int = Field(ge=1, le=65535)
     serial: str = ""
+
+
+class OpenProtocolEntry(GunEntry):
+    """A tightening gun behind an Open Protocol controller, whose serial number is meant.
+
+    `start_input` and `running_relay` are the controller's functions "remote start" and "tool running"; `estop_alarms`
+    are the codes of its alarms that mean that the hard-wired circuit took its power; `trace_order` is the byte order
+    of its curves.
+    """
+
+    backend: ClassVar[str] = "hal.real.gun:OpenProtocolGun"
+    simulator: ClassVar[str] = "hal.fake.wire.gun:GunController.of"
+    kind: Literal["open_protocol"]
+    port: int = Field(default=4545, ge=1, le=65535)
     start_input: int = Field(default=7, ge=0, le=999)
     running_relay: int = Field(default=26, ge=1, le=999)
     estop_alarms: tuple[str, ...] = ()
     trace_order: Literal["big", "little"] = "big"
+
+
+class KducerEntry(GunEntry):
+    """A tightening gun behind a Kolver K-Ducer on Modbus TCP. `serial` is the screwdriver's.
+
+    The controller's first `programs` programs are this cell's. It lets go of the lever, and stops, where the lever is
+    not set again in time: `lever_s` must be below that time, which is measured at commissioning.
+    """
+
+    backend: ClassVar[str] = "hal.real.kducer:KducerGun"
+    simulator: ClassVar[str] = "hal.fake.wire.kducer:KducerController"
+    kind: Literal["kducer"]
+    port: int = Field(default=502, ge=1, le=65535)
+    unit: int = Field(default=1, ge=1, le=247)
+    programs: int = Field(default=16, ge=1, le=64)
+    lever_s: Seconds = Field(default=0.2, ge=0.1, le=1.0)
+    deadline_s: Seconds = Field(default=1.5, gt=0)
 
 
 class ModbusEntry(Section):
@@ -219,8 +268,8 @@ class Devices(Section):
     shaft_table: AnyAxisEntry
     gun_table: AnyAxisEntry
     gun_feed: AnyAxisEntry
-    gun_a: Annotated[PlainEntry | OpenProtocolEntry, BY_KIND]
-    gun_b: Annotated[PlainEntry | OpenProtocolEntry, BY_KIND]
+    gun_a: Annotated[PlainEntry | OpenProtocolEntry | KducerEntry, BY_KIND]
+    gun_b: Annotated[PlainEntry | OpenProtocolEntry | KducerEntry, BY_KIND]
     jack_force: Annotated[ForceEntry | ForceLineEntry, BY_KIND]
     gun_force_a: Annotated[ForceEntry | ForceLineEntry, BY_KIND]
     gun_force_b: Annotated[ForceEntry | ForceLineEntry, BY_KIND]
@@ -237,4 +286,4 @@ class Devices(Section):
     gap_probe_3: Annotated[PlainEntry | ModbusEntry, BY_KIND]
     safety: Annotated[PlainEntry | ModbusEntry, BY_KIND]
     part_station: Annotated[PlainEntry | ModbusStationEntry, BY_KIND]
-    scanner: Annotated[PlainEntry | FileDropEntry, BY_KIND]
+    scanner: Annotated[PlainEntry | FileDropEntry | GentlEntry, BY_KIND]

@@ -78,6 +78,10 @@ class PermittedAxis(_Delegate[Axis]):
     async def read(self) -> AxisState:
         return await self._inner.read()
 
+    async def refusal(self, target: Target) -> CellError | None:
+        """The error that a motion to `target` (in `unit`, or "home") meets now; None where it may begin."""
+        return self._permits.latch.refusal(self.name) or await self._permits.motion(self._axis, target)
+
     async def home(self) -> AxisState:
         return await self._motion("home", lambda: self._inner.home())
 

@@ -56,7 +56,7 @@ def commands(text: str) -> Iterator[list[str]]:
     """Command lines of cellctl, word by word; inline code that only names a command is none."""
     for line in [*code_lines(text), *inline(text)]:
         words = shlex.split(line, comments=True) if line.startswith(("cellctl ", ".venv/bin/cellctl ")) else []
-        if len(words) > 2:
+        if len(words) > 2 and not words[1].endswith(":"):  # that is what a command says
             yield words[1:]
 
 

@@ -13,20 +13,44 @@ USABLE_SHARE = 0.1
 """A trip below a tenth of the force limit trips on noise and guide friction before it trips on contact."""
 
 
-def trip_force_n(recipe: Recipe, delays: Delays, mass_kg: float, *, deceleration_mm_s2: float | None = None) -> float:
-    """Net force at which the guard must trip so that the force stays below the recipe's limit, overshoot included.
+def trip_n(
+    limit_n: float,
+    speed_mm_s: float,
+    delays: Delays,
+    *,
+    stiffness_n_per_mm: float,
+    mass_kg: float,
+    deceleration_mm_s2: float | None = None,
+) -> float:
+    """Net force at which the guard must trip so that the force stays below `limit_n`, overshoot included.
 
     F_trip = F_limit - k v (t_sensor + t_guard + t_bus + t_drive) - max(k v^2 / 2a, v sqrt(k m)) - u_tare - 4 sigma,
     with k the axial stiffness, v the contact speed, m the moving mass, a the drive's deceleration. May be negative:
     then no trip is early enough.
     """
-    stiffness, speed = recipe.limits.axial_stiffness_n_per_mm, recipe.jack_up.contact_speed_mm_s
     delay_s = delays.sensor_s + delays.guard_s + delays.bus_s + delays.drive_s
-    during_delay = stiffness * speed * delay_s
-    carried = 1e-3 * speed * math.sqrt(1e3 * stiffness * mass_kg)
-    braking = stiffness * speed**2 / (2.0 * deceleration_mm_s2) if deceleration_mm_s2 else 0.0
+    during_delay = stiffness_n_per_mm * speed_mm_s * delay_s
+    carried = 1e-3 * speed_mm_s * math.sqrt(1e3 * stiffness_n_per_mm * mass_kg)
+    braking = stiffness_n_per_mm * speed_mm_s**2 / (2.0 * deceleration_mm_s2) if deceleration_mm_s2 else 0.0
     margin = delays.tare_n + 4.0 * delays.noise_n
-    return recipe.jack_up.force_limit_n - during_delay - max(braking, carried) - margin
+    return limit_n - during_delay - max(braking, carried) - margin
+
+
+def usable_trip_n(limit_n: float, delays: Delays) -> float:
+    """The lowest net force at which a trip can be told from noise."""
+    return max(USABLE_SHARE * limit_n, delays.tare_n + 4.0 * delays.noise_n)
+
+
+def trip_force_n(recipe: Recipe, delays: Delays, mass_kg: float, *, deceleration_mm_s2: float | None = None) -> float:
+    """`trip_n` for the recipe's insertion."""
+    return trip_n(
+        recipe.jack_up.force_limit_n,
+        recipe.jack_up.contact_speed_mm_s,
+        delays,
+        stiffness_n_per_mm=recipe.limits.axial_stiffness_n_per_mm,
+        mass_kg=mass_kg,
+        deceleration_mm_s2=deceleration_mm_s2,
+    )
 
 
 def contact_speed_findings(recipe: Recipe, cell: CellConfig | None) -> list[Finding]:
@@ -35,7 +59,7 @@ def contact_speed_findings(recipe: Recipe, cell: CellConfig | None) -> list[Find
     mass = cell.cell.moving_mass_kg if cell else recipe.limits.shaft_mass_kg
     deceleration = cell.devices.jack.max_acceleration if cell else None
     trip = trip_force_n(recipe, delays, mass, deceleration_mm_s2=deceleration)
-    usable = max(USABLE_SHARE * recipe.jack_up.force_limit_n, delays.tare_n + 4.0 * delays.noise_n)
+    usable = usable_trip_n(recipe.jack_up.force_limit_n, delays)
     if trip >= usable:
         return []
     text = f"{recipe.jack_up.contact_speed_mm_s} mm/s leaves a trip force of {trip:.2f} N"

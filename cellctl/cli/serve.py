@@ -15,6 +15,7 @@ from cellctl.app import Service, serve
 from cellctl.service_rules import Settings, clock, refuse_unfit
 from hal.config import load_cell
 from hal.errors import ConfigError
+from hal.systemd import alive
 
 ROOT = Path(__file__).parents[2]
 """Where recipes and example cells lie beside the package."""
@@ -48,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         else:
             print(f"page   {service.url}/#token={service.token}\nAPI    {service.url}/api/v1\ntoken  {service.token}")
             print("Ctrl-C ends", flush=True)
-        await asyncio.Event().wait()
+        await alive()
 
     return run_service(settings_of(args, args.cell, args.speed), tell)
 

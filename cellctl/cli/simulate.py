@@ -6,13 +6,13 @@ import argparse
 import asyncio
 import logging
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellctl.recipe import Recipe, load_recipe
 from cellctl.signals import ending
+from hal.addresses import buses
 from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
 from hal.priority import real_time
@@ -33,6 +33,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--faults", type=Path, help="fault file; phases are not known here, only seconds from the start"
     )
+    parser.add_argument("--truth", type=Path, metavar="DIR", help="write here how each pair of parts really stands")
     parser.set_defaults(run=run)
 
 
@@ -45,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         config, recipe = load_cell(args.cell), load_recipe(args.recipe)
         seed = config.twin.seed if args.seed is None else args.seed
         faults = load_faults(args.faults).faults if args.faults else ()
-        asyncio.run(simulate(config, recipe, seed, faults))
+        asyncio.run(simulate(config, recipe, seed, faults, args.truth))
     except (ConfigError, OSError) as error:
         print(f"cellctl: {error}", file=sys.stderr)
         return 2
@@ -54,19 +55,25 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-async def simulate(config: CellConfig, recipe: Recipe, seed: int, faults: tuple[Fault, ...]) -> None:
-    """Until Ctrl-C or SIGTERM. Raises ConfigError, OSError."""
+async def simulate(
+    config: CellConfig, recipe: Recipe, seed: int, faults: tuple[Fault, ...], truth: Path | None = None
+) -> None:
+    """Until Ctrl-C or SIGTERM. What is true of the parts is kept in folder `truth`. Raises ConfigError, OSError."""
     # Slow to import, and not needed to say what is wrong with the files.
     from cellctl.gun_programs import programs_of
-    from cellctl.twin import RENDERING, twin_of
+    from cellctl.truth_files import keeping_truth
+    from cellctl.twin import RENDERING, truth_limits, twin_of
     from hal.fake.wire.stand import standing
     from hal.jobs import ProcessJobs
 
     now = asyncio.get_running_loop().time()
     async with ProcessJobs(modules=RENDERING) as jobs:
         twin = twin_of(recipe, config, jobs, seed=seed, faults=from_now(faults, now), now=now)
-        async with standing(config, twin.plant, twin.faults, twin.render, programs_of(recipe.tighten)):
-            for where, names in addresses(config).items():
+        async with (
+            standing(config, twin.plant, twin.faults, twin.render, programs_of(recipe.tighten)),
+            keeping_truth(truth, twin.plant, truth_limits(recipe)),
+        ):
+            for where, names in buses(config).items():
                 print(f"{where:40} {', '.join(names)}")
             print(f"twin of {recipe.recipe.id}, seed {seed}, level {config.twin.level}; Ctrl-C ends", flush=True)
             real_time(REAL_TIME)
@@ -78,19 +85,3 @@ async def simulate(config: CellConfig, recipe: Recipe, seed: int, faults: tuple[
 def from_now(faults: tuple[Fault, ...], now: float) -> tuple[Fault, ...]:
     """Faults at seconds from the start, on this machine's clock."""
     return tuple(replace(fault, at_s=fault.at_s + now) for fault in faults)
-
-
-def addresses(config: CellConfig) -> Mapping[str, list[str]]:
-    """Names of the devices by where they are reached; fakes are reached nowhere."""
-    found: dict[str, list[str]] = {}
-    for name, entry in config.entries.items():
-        if entry.kind == "canopen" and config.can is not None:
-            where = f"CAN {config.can.channel}"
-        elif path := getattr(entry, "port_path", "") or getattr(entry, "path", "") or getattr(entry, "folder", ""):
-            where = str(config.beside(path))
-        elif host := getattr(entry, "host", ""):
-            where = f"{entry.kind} {host}:{entry.port}"
-        else:
-            continue
-        found.setdefault(where, []).append(name)
-    return found

@@ -67,7 +67,10 @@ def part_facts(measured: PartMeasurement) -> list[tuple[str, str]]:
     clocking = "free, " if measured.clocking_free else ""
     facts = [
         (f"{measured.feature}s found", f"{measured.found} of {len(measured.features)}"),
-        ("circle diameter", f"{measured.circle_diameter_mm:.4f} mm"),
+        (
+            "circle diameter",
+            f"{measured.circle_diameter_mm:.4f} ± {number(quality.get('sigma_circle_mm', np.nan), 4)} mm",
+        ),
         ("clocking", f"{clocking}sigma {measured.sigma_clocking_deg:.5f}°"),
         ("pattern, rms", f"{number(1000.0 * quality.get('pattern_rms_mm', np.nan), 1)} µm"),
         ("face noise", f"{1000.0 * face.sigma_mm:.1f} µm"),

@@ -17,13 +17,13 @@ from cellctl.vision.outline import edge_band_mm
 from cellctl.vision.part import Part, Refused
 from cellctl.vision.pattern import CLEAR_MARGIN, PatternPose, blind_to_sizes, find_patterns, nominal, placed, symmetry
 from cellctl.vision.plane import Plane, find_planes
-from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, stand_on, tip_levels
+from cellctl.vision.stud_tips import LEAST_HEIGHT_MM, find_tips, radius_of, standing, tip_levels
 
 RANSAC_POINTS = 12_000
 MAX_NOISE_MM = 0.5
 LEAST_DISTANCE_MM = 100.0
 ENOUGH_PLANES = 4  # smaller ones are looked at only where these show no pattern
-CLEAR_SIDE, SIDE_POINTS = 5.0, 200_000
+CLEAR_SIDE, SIDE_POINTS = 4.0, 200_000
 """Standard deviations by which the holes tell the side, and how many points are looked at."""
 RIVALS, MOST_RIVALS = 0.25, 8  # poses that score so much less, per feature, are told apart by their outlines
 SECOND = 0.5  # score per feature from which on a pose elsewhere is a second part
@@ -152,17 +152,24 @@ def _seen_in_front(points: Columns, face: Face, part: Part) -> float:
     """How surely what shows in the holes lies behind the face, in standard deviations; negative where it lies before.
 
     A hole shows its wall, its bottom or what stands behind the part; nothing of it stands before the face. Wrong
-    depths fall on both sides alike, so that their difference is a random walk.
+    depths fall on both sides alike, but neighbours are wrong together: a patch of half a radius has one vote, and the
+    difference of the votes is a random walk.
     """
     deepest = max(part.depth_mm or 0.0, 3.0 * float(face.radii_mm.max()))
     local = points.into(face.frame)
     height = np.abs(local.z)
     off = np.flatnonzero((height > 6.0 * face.plane.sigma_mm) & (height < deepest))
     local = local.take(off[:: max(1, len(off) // SIDE_POINTS)])
-    query = cKDTree(nominal(part)).query(np.stack([local.x, local.y], axis=1))
+    places = np.stack([local.x, local.y], axis=1)
+    query = cKDTree(nominal(part)).query(places)
     inside = np.asarray(query[0]) < face.radii_mm[np.asarray(query[1])] + 0.5 * face.spacing_mm
-    behind, before = int((local.z[inside] < 0.0).sum()), int((local.z[inside] > 0.0).sum())
-    return (behind - before) / math.sqrt(max(behind + before, 1))
+    if not inside.any():
+        return 0.0
+    patches = np.floor(places[inside] / (0.5 * float(np.median(face.radii_mm)))).astype(np.intp)
+    patches -= patches.min(axis=0)
+    patch = patches[:, 0] * (patches[:, 1].max() + 1) + patches[:, 1]
+    votes = np.sign(np.bincount(patch, np.where(local.z[inside] < 0.0, 1.0, -1.0)))
+    return float(votes.sum()) / math.sqrt(max(int(np.count_nonzero(votes)), 1))
 
 
 def _try_side(densities: list[_Thinned], plane: Plane, toward: Array, part: Part, reference: Array) -> Face | None:
@@ -244,8 +251,8 @@ def _studs(local: Columns, on_plane: Array, part: Part, space: float) -> list[Vo
     most: list[Void] = []
     for level in tip_levels(height, part):
         tips = find_tips(uv, height, part, space, level)
-        if len(tips) > len(most) and stand_on(tips, on_plane, uv):
-            most = tips
+        if len(tips) > len(most):
+            most = max(most, standing(tips, on_plane, uv), key=len)
         if 2 * len(most) > part.count:
             break
     return most

@@ -59,7 +59,8 @@ def measure_part(
 
     With `T_frame_scanner` (4, 4) the result is in the cell frame, else in the cloud's own. `quality` holds coverage
     (share of the face seen), distance_mm (NaN where the scanner's place is not known), points, spacing_mm, found,
-    min_points_per_feature, pattern_rms_mm and sigma_mm. Raises Refused with a code of `cellctl.vision.part`.
+    min_points_per_feature, pattern_rms_mm, sigma_circle_mm (of the circle's diameter) and sigma_mm. Raises Refused
+    with a code of `cellctl.vision.part`.
     """
     cloud = as_cloud(points)
     rng = np.random.default_rng(seed)
@@ -240,6 +241,7 @@ def _quality(
         "found": float(len(carried)),
         "min_points_per_feature": float(min(carried, default=0)),
         "pattern_rms_mm": float(np.sqrt(np.nanmean(fitted.residuals_mm**2))),
+        "sigma_circle_mm": fitted.sigma_diameter_mm,
         "matched": float(found.pattern.matched),
     }
 

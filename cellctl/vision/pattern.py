@@ -32,13 +32,15 @@ class PatternPose:
 class PatternFit:
     """Least-squares pose of the pattern: centre (2,), clocking, `covariance` (3, 3) of x, y (mm2), clocking (rad2).
 
-    `diameter_mm` is the circle's, `residuals_mm` (n, 2) measured minus fitted, NaN where a feature is missing.
+    `diameter_mm` is the circle's, known to `sigma_diameter_mm`; `residuals_mm` (n, 2) measured minus fitted, NaN where
+    a feature is missing.
     """
 
     centre_mm: Array
     clocking_rad: float
     covariance: Array
     diameter_mm: float
+    sigma_diameter_mm: float
     residuals_mm: Array
 
 
@@ -286,5 +288,6 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
         clocking_rad=float(wrap_rad(pose[2:])[0]),
         covariance=wider * np.linalg.inv(matrix[:3, :3]),
         diameter_mm=part.circle_diameter_mm + 2.0 * float(np.linalg.solve(matrix, pull)[3]),
+        sigma_diameter_mm=2.0 * float(np.sqrt(wider * np.linalg.inv(matrix)[3, 3])),
         residuals_mm=everything,
     )

@@ -68,26 +68,31 @@ def find_tips(uv_mm: Array, height_mm: Array, part: Part, spacing_mm: float, lev
     return [island for island in islands if 0.5 * usual < island.radius_mm < 2.0 * usual]
 
 
-def stand_on(tips: list[Void], on_plane: Array, above: Array) -> bool:
-    """Whether the ground about the ends of studs is the plane of these points (N, 2) rather than something above it.
+def standing(tips: list[Void], on_plane: Array, above: Array) -> list[Void]:
+    """Those ends of studs about which the ground is the plane of these points (N, 2) rather than something above it.
 
-    Above a plane far behind the part the same ends show, higher up.
+    Above a plane far behind the part the same ends show, higher up; so do tops of clutter aside of the part.
     """
     radius = float(np.median([tip.radius_mm for tip in tips]))
     middles = np.array([tip.position_mm for tip in tips])
     low = middles.min(axis=0) - 4.0 * radius
     cell = 0.4 * radius
     shape = np.ceil((middles.max(axis=0) + 4.0 * radius - low) / cell).astype(np.intp) + 1
-    ground = np.zeros(shape, dtype=np.bool_)
+    owner = np.zeros(shape, dtype=np.intp)
+    """Whose ground a cell is, counted from 1."""
     turns = 2.0 * np.pi * np.arange(32) / 32.0
     for reach in (1.6, 2.0, 2.4):
         ring = middles[:, None] + reach * radius * np.stack([np.cos(turns), np.sin(turns)], axis=1)
-        u, v = np.floor((ring.reshape(-1, 2) - low) / cell).astype(np.intp).T
-        ground[u, v] = True
+        u, v = np.floor((ring - low) / cell).astype(np.intp).transpose(2, 0, 1)
+        owner[u, v] = np.arange(1, len(tips) + 1)[:, None]
     step = max(1, (len(on_plane) + len(above)) // GROUND_POINTS)
-    counts = []
-    for points in (on_plane[::step], above[::step]):
-        u, v = np.floor((points - low) / cell).astype(np.intp).T
-        inside = (u >= 0) & (v >= 0) & (u < shape[0]) & (v < shape[1])
-        counts.append(int(np.count_nonzero(ground[u[inside], v[inside]])))
-    return counts[0] > counts[1]
+    lower, higher = (_counted(owner, (points[::step] - low) / cell)[1:] for points in (on_plane, above))
+    kept = lower >= higher
+    return [tip for tip, keep in zip(tips, kept, strict=True) if keep] if lower[kept].sum() else []
+
+
+def _counted(owner: NDArray[np.intp], places: Array) -> NDArray[np.intp]:
+    """Points (N, 2), in cells, on the ground of each owner."""
+    u, v = np.floor(places).astype(np.intp).T
+    inside = (u >= 0) & (v >= 0) & (u < owner.shape[0]) & (v < owner.shape[1])
+    return np.bincount(owner[u[inside], v[inside]], minlength=int(owner.max()) + 1)

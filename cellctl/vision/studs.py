@@ -153,6 +153,7 @@ def _vote(rays: Rays, near: Near, expected: Thread | None) -> ThreadVote:
     return vote(
         np.sqrt(x * x + y * y)[side], np.arctan2(y, x)[side], height[side], rays.stud[side], len(near.tips),
         pitch_low_mm=low, pitch_high_mm=high, max_starts=max(3, expected.starts if expected is not None else 0),
+        expected=expected,
     )  # fmt: skip
 
 

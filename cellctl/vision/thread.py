@@ -73,7 +73,7 @@ def fit_thread(
     radius, angle = np.hypot(local[:, 0], local[:, 1]), np.arctan2(local[:, 1], local[:, 0])
     alone = np.zeros(len(rows), dtype=np.intp)
     low, high = (0.45 * nominal.pitch_mm, 2.2 * nominal.pitch_mm) if nominal is not None else (0.4, 3.0)
-    ballot = vote(radius, angle, local[:, 2], alone, 1, pitch_low_mm=low, pitch_high_mm=high)
+    ballot = vote(radius, angle, local[:, 2], alone, 1, pitch_low_mm=low, pitch_high_mm=high, expected=nominal)
     if nominal is not None:
         check_vote(ballot, nominal)
     elif not shows(ballot):

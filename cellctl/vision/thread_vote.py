@@ -15,6 +15,10 @@ Array = NDArray[np.float64]
 CELLS_A_PITCH = 8.0
 """Cells of the height axis in the finest pitch that is voted for."""
 LEAST_SCORE = 0.05
+PITCH_SHARE = 0.03
+"""By how much of itself a pitch may differ from the expected one."""
+IN_DOUBT = 0.25
+"""Standard deviations of chance by which another thread must lie above the expected one to speak against it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,7 @@ def vote(
     pitch_low_mm: float = 0.4,
     pitch_high_mm: float = 3.0,
     max_starts: int = 3,
+    expected: Thread | None = None,
 ) -> ThreadVote:
     """Vote over pitch, phase, hand and starts with the height taken modulo the pitch.
 
@@ -73,6 +78,8 @@ def vote(
             powers[-turns] += spectrum[:, -band].sum(axis=0)
     tallest = max(powers, key=lambda turns: (float(powers[turns].max()), turns))
     turns, at = _fundamental(powers, tallest, band, 2.0 * count)
+    if expected is not None:
+        turns, at = _in_doubt(powers, frequency[band], (turns, at), expected)
     power = max(float(powers[turns][at]), 1e-300)
     rivals = max(float(other.max()) for key, other in powers.items() if key * turns < 0)
     pitch = 1.0 / _peak(frequency[band], powers[turns], at)
@@ -99,7 +106,7 @@ def check_vote(ballot: ThreadVote, expected: Thread, where: str = "") -> None:
     if not shows(ballot):
         raise Refused("thread_wrong", f"{where}no thread shows (vote {ballot.score:.3f})")
     same = ballot.hand == expected.hand and ballot.starts == expected.starts
-    if not same or abs(ballot.pitch_mm - expected.pitch_mm) > 0.03 * expected.pitch_mm:
+    if not same or abs(ballot.pitch_mm - expected.pitch_mm) > PITCH_SHARE * expected.pitch_mm:
         raise Refused(
             "thread_wrong",
             f"{where}{ballot.hand}-hand thread of pitch {ballot.pitch_mm:.2f} mm, {ballot.starts} start(s); "
@@ -121,6 +128,20 @@ def _fundamental(powers: dict[int, Array], turns: int, band: NDArray[np.intp], c
         if len(window) and window.max() - chance > 0.15 * (powers[turns][at] - chance):
             return turns // part, low + int(window.argmax())
     return turns, at
+
+
+def _in_doubt(powers: dict[int, Array], frequency: Array, winner: tuple[int, int], expected: Thread) -> tuple[int, int]:
+    """The expected thread where it lies hardly below the winner, else the winner.
+
+    Unit power of chance in each quadrature pair changes a power P by 2 sqrt(P / 2).
+    """
+    turns = expected.starts if expected.hand == "right" else -expected.starts
+    near = np.flatnonzero(np.abs(frequency * expected.pitch_mm - 1.0) <= PITCH_SHARE)
+    if turns not in powers or not len(near):
+        return winner
+    at = int(near[powers[turns][near].argmax()])
+    most = float(powers[winner[0]][winner[1]])
+    return (turns, at) if powers[turns][at] > most - IN_DOUBT * np.sqrt(2.0 * most) else winner
 
 
 def _beyond_chance(share: float, chance: float) -> float:

@@ -19,7 +19,7 @@ from pymodbus import FramerType, ModbusException
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.pdu import ModbusPDU
 
-from hal.codec.modbus import READ_INPUT, WRITE_MANY, ExceptionCode, Framing
+from hal.codec.modbus import READ_COILS, READ_HOLDING, READ_INPUT, WRITE_COIL, WRITE_MANY, ExceptionCode, Framing
 from hal.errors import (
     CellError,
     ConfigError,
@@ -91,6 +91,8 @@ class Line:
         self._heard_s: dict[int, float] = {}
         self._errands: list[Poll] = []
         self._why = ""
+        self.connection = 0
+        """Counts connections: what was read on one says nothing on the next."""
         self._sent_s = self._quiet_until_s = -math.inf
 
     async def open(self, holder: object) -> None:
@@ -127,14 +129,15 @@ class Line:
         self._errands.append(call)
         self._wake.set()
 
-    async def read(self, unit: int, address: int, count: int, *, device: str) -> tuple[int, ...]:
-        """`count` input registers. Raises NotConnected, DeviceTimeout, DeviceRefused, DeviceFault."""
+    async def read(self, unit: int, address: int, count: int, *, device: str, holding: bool = False) -> tuple[int, ...]:
+        """`count` input or holding registers. Raises NotConnected, DeviceTimeout, DeviceRefused, DeviceFault."""
         what = f"read of {count} registers at {address} of unit {unit}"
 
         def request(client: Client) -> Awaitable[ModbusPDU]:
-            return client.read_input_registers(address, count=count, device_id=unit)
+            read = client.read_holding_registers if holding else client.read_input_registers
+            return read(address, count=count, device_id=unit)
 
-        reply = await self._exchange(request, what, READ_INPUT, device)
+        reply = await self._exchange(request, what, READ_HOLDING if holding else READ_INPUT, device)
         self._heard_s[unit] = asyncio.get_running_loop().time()
         if len(reply.registers) != count:
             self._spoil(self._client)
@@ -153,6 +156,37 @@ class Line:
         if (reply.address, reply.count) != (address, len(words)):
             self._spoil(self._client)
             raise DeviceFault(f"{reply.count} registers at {reply.address} acknowledged to a {what}", device=device)
+
+    async def coils(self, unit: int, address: int, count: int, *, device: str) -> tuple[bool, ...]:
+        """`count` coils. Raises as `read`."""
+        what = f"read of {count} coils at {address} of unit {unit}"
+
+        def request(client: Client) -> Awaitable[ModbusPDU]:
+            return client.read_coils(address, count=count, device_id=unit)
+
+        reply = await self._exchange(request, what, READ_COILS, device)
+        self._heard_s[unit] = asyncio.get_running_loop().time()
+        if len(reply.bits) != -(-count // 8) * 8:
+            self._spoil(self._client)
+            raise DeviceFault(f"{len(reply.bits)} coils came to a {what}", device=device)
+        return tuple(reply.bits[:count])
+
+    async def set_coil(
+        self, unit: int, address: int, on: bool, *, device: str, check: Callable[[], None] | None = None
+    ) -> None:
+        """Write one coil, once. `check` is called right before it is sent and may raise. Raises as `write`."""
+        what = f"write of coil {address} of unit {unit}"
+
+        def request(client: Client) -> Awaitable[ModbusPDU]:
+            if check is not None:
+                check()
+            return client.write_coil(address, on, device_id=unit)
+
+        reply = await self._exchange(request, what, WRITE_COIL, device)
+        self._heard_s[unit] = asyncio.get_running_loop().time()
+        if (reply.address, tuple(reply.bits[:1])) != (address, (on,)):
+            self._spoil(self._client)
+            raise DeviceFault(f"coil {reply.address} acknowledged to a {what}", device=device)
 
     async def _exchange(
         self, request: Callable[[Client], Awaitable[ModbusPDU]], what: str, function: int, device: str
@@ -196,7 +230,7 @@ class Line:
         return reply
 
     def _raise_lost(self, what: str, function: int, device: str) -> NoReturn:
-        if function == WRITE_MANY:
+        if function in (WRITE_COIL, WRITE_MANY):
             raise UnknownOutcome(f"the link to {self.link} broke in a {what}: it may have acted", device=device)
         raise NotConnected(f"the link to {self.link} broke in a {what}", device=device)
 
@@ -247,6 +281,7 @@ class Line:
             client.close()
             raise asyncio.CancelledError  # asyncio.wait_for, inside the client, may swallow it
         if made:
+            self.connection += 1
             self._client, self._lost = client, asyncio.get_running_loop().create_future()
         else:
             client.close()

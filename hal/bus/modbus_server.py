@@ -87,8 +87,7 @@ class ModbusServer:
         if self._server is not None:
             self._server.close()
             self._server = None
-        for writer in self._writers:
-            writer.transport.abort()
+        self.drop()
         tasks = list(self._writers.values())
         if self._pty is not None:
             master, slave, task = self._pty
@@ -100,6 +99,11 @@ class ModbusServer:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+    def drop(self) -> None:
+        """Cut every connection; the next ones are served."""
+        for writer in self._writers:
+            writer.transport.abort()
 
     async def start_pty(self) -> None:
         """Serve RTU on a pseudo-terminal; `port_path` is the client's end."""

@@ -28,6 +28,7 @@ class SerialLine:
         on_bytes: Callable[[bytes], None],
         on_lost: Callable[[str], None],
         *,
+        parity: str = "N",
         sys_root: Path = Path("/sys"),
     ) -> None:
         # Only a terminal: another file would be read to its end and taken for a stream.
@@ -39,7 +40,7 @@ class SerialLine:
         self._on_lost = on_lost
         self._loop = asyncio.get_running_loop()
         try:
-            self._port = serial.Serial(path, baud, timeout=0, write_timeout=0, exclusive=True)
+            self._port = serial.Serial(path, baud, parity=parity, timeout=0, write_timeout=0, exclusive=True)
         except ValueError as error:  # a baud rate that the port does not know
             raise OSError(str(error)) from None
         self._fd = self._port.fileno()

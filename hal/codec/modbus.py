@@ -1,7 +1,7 @@
 """Modbus requests and replies as frames on TCP and RTU, the server's side. Pure.
 
-After "MODBUS Application Protocol Specification V1.1b3" (functions 03, 04, 06, 16 and exceptions), "MODBUS Messaging on
-TCP/IP Implementation Guide V1.0b" (MBAP header) and "MODBUS over Serial Line V1.02" (CRC, 6.2.2).
+After "MODBUS Application Protocol Specification V1.1b3" (functions 01, 03, 04, 05, 06, 16 and exceptions), "MODBUS
+Messaging on TCP/IP Implementation Guide V1.0b" (MBAP header) and "MODBUS over Serial Line V1.02" (CRC, 6.2.2).
 """
 
 from __future__ import annotations
@@ -14,7 +14,10 @@ from typing import Literal
 Framing = Literal["tcp", "rtu"]
 
 READ_HOLDING, READ_INPUT, WRITE_ONE, WRITE_MANY = 3, 4, 6, 16
-MAX_READ, MAX_WRITE = 125, 123
+READ_COILS, WRITE_COIL = 1, 5
+MAX_READ, MAX_WRITE, MAX_COILS = 125, 123, 2000
+_READS = {READ_COILS: MAX_COILS, READ_HOLDING: MAX_READ, READ_INPUT: MAX_READ}
+_ON = 0xFF00
 _EXCEPTION = 0x80
 _MBAP = struct.Struct(">HHHB")
 
@@ -38,7 +41,8 @@ class ExceptionCode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One request for registers. `words` is what is to be written, empty for a read; `transaction` is 0 on RTU."""
+    """One request for registers or coils. `words` is what is to be written, empty for a read, 1 or 0 for a coil;
+    `transaction` is 0 on RTU."""
 
     unit: int
     function: int
@@ -74,9 +78,15 @@ def take_request(data: bytes, framing: Framing) -> tuple[Request | Unsupported |
 
 
 def reply(request: Request, words: tuple[int, ...], framing: Framing) -> bytes:
-    """Frame that answers `request`: the registers read, or the echo of a write."""
+    """Frame that answers `request`: the registers or coils (1 or 0) read, or the echo of a write."""
     if request.function in (READ_HOLDING, READ_INPUT):
         body = struct.pack(f">BB{len(words)}H", request.function, 2 * len(words), *words)
+    elif request.function == READ_COILS:
+        size = -(-len(words) // 8)
+        packed = sum(1 << place for place, on in enumerate(words) if on)
+        body = bytes((READ_COILS, size)) + packed.to_bytes(size, "little")
+    elif request.function == WRITE_COIL:
+        body = struct.pack(">BHH", WRITE_COIL, request.address, _ON if request.words[0] else 0)
     elif request.function == WRITE_ONE:
         body = struct.pack(">BHH", WRITE_ONE, request.address, *request.words)
     else:
@@ -122,7 +132,7 @@ def _take_rtu(data: bytes) -> tuple[Request | Unsupported | None, int]:
 
 def _parsed(unit: int, body: bytes, transaction: int) -> Request | Unsupported:
     function = body[0]
-    if function not in (READ_HOLDING, READ_INPUT, WRITE_ONE, WRITE_MANY):
+    if function not in (*_READS, WRITE_COIL, WRITE_ONE, WRITE_MANY):
         return Unsupported(unit, function, ExceptionCode.ILLEGAL_FUNCTION, transaction)
     bad = Unsupported(unit, function, ExceptionCode.ILLEGAL_VALUE, transaction)
     if len(body) < 5:
@@ -130,8 +140,10 @@ def _parsed(unit: int, body: bytes, transaction: int) -> Request | Unsupported:
     address, second = struct.unpack_from(">HH", body, 1)
     if function == WRITE_ONE:
         return Request(unit, function, address, 1, (second,), transaction)
+    if function == WRITE_COIL:
+        return Request(unit, function, address, 1, (int(second == _ON),), transaction) if second in (0, _ON) else bad
     if function != WRITE_MANY:
-        return Request(unit, function, address, second, (), transaction) if 1 <= second <= MAX_READ else bad
+        return Request(unit, function, address, second, (), transaction) if 1 <= second <= _READS[function] else bad
     if not 1 <= second <= MAX_WRITE or len(body) != 6 + 2 * second or body[5] != 2 * second:
         return bad
     return Request(unit, function, address, second, struct.unpack_from(f">{second}H", body, 6), transaction)

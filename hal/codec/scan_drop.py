@@ -11,35 +11,38 @@ writes the cloud first and then ``00000017.answer.json``, which names it::
      "file": "00000017.npz", "bytes": 6000512, "shape": [600, 833]}
     {"request": 17, "ok": false, "error": "refused", "reason": "..."}          error: refused, fault, interrupted
 
-A cloud is organised, (H, W, 3) floats, not a number where nothing was measured: an ``.npy`` file, or an ``.npz`` file
-with the one array ``points``. PLY and PCD are not read here; a scanner that writes them needs a converter beside it.
+A cloud is organised, (H, W, 3) floats, not a number where nothing was measured: ``.npz`` with the one array ``points``,
+``.npy``, ``.ply`` (vertices row by row) or ``.pcd``.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import math
-import re
-import zipfile
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.codec.cloud_arrays import LARGEST_FILE, decode_npy, decode_npz, encode_npy, encode_npz
+from hal.codec.cloud_tables import decode_pcd, decode_ply, encode_pcd, encode_ply
 from hal.codec.errors import CodecError
 
 Ask = Literal["identify", "state", "capture", "halt"]
 Failure = Literal["refused", "fault", "interrupted"]
+CloudKind = Literal["npz", "npy", "ply", "pcd"]
 
-LARGEST_FILE = 1 << 30
-"""Bytes of a cloud's file, packed or not."""
 LARGEST_ANSWER = 1 << 16
-_NPY = re.compile(
-    rb"\{'descr': *'([<>]f[48])', *'fortran_order': *False, *'shape': *\((\d{1,6}), *(\d{1,6}), *3\),? *\}\s*"
-)
 REQUEST, ANSWER = ".request.json", ".answer.json"
+_READ: Mapping[str, Callable[[bytes, str, tuple[int, int]], NDArray[Any]]] = MappingProxyType(
+    {"npz": decode_npz, "npy": decode_npy, "ply": decode_ply, "pcd": decode_pcd}
+)
+_WRITE: Mapping[str, Callable[[NDArray[np.float32]], bytes]] = MappingProxyType(
+    {"npz": encode_npz, "npy": encode_npy, "ply": encode_ply, "pcd": encode_pcd}
+)
 
 
 class ScanDropError(CodecError):
@@ -144,8 +147,10 @@ def decode_answer(data: bytes, request: Request) -> Answer:
             return StateTold(fields.true("projecting"))
         case "capture":
             file = fields.text("file")
-            if file not in (f"{request.stem}.npz", f"{request.stem}.npy"):
-                raise ScanDropError("file", f"{file!r} is neither {request.stem}.npz nor {request.stem}.npy")
+            if file not in [f"{request.stem}.{kind}" for kind in _READ]:
+                raise ScanDropError(
+                    "file", f"{file!r} is not {request.stem} with one of the endings {', '.join(_READ)}"
+                )
             return FrameTold(
                 frame_id=fields.whole("frame_id"),
                 view=fields.text("view"),
@@ -157,11 +162,9 @@ def decode_answer(data: bytes, request: Request) -> Answer:
             )
 
 
-def encode_cloud(points: NDArray[np.float32]) -> bytes:
-    """An ``.npz`` file, not packed."""
-    file = io.BytesIO()
-    np.savez(file, points=points)
-    return file.getvalue()
+def encode_cloud(points: NDArray[np.float32], kind: CloudKind = "npz") -> bytes:
+    """A file of this kind, not packed."""
+    return _WRITE[kind](points)
 
 
 def decode_cloud(data: bytes, told: FrameTold) -> NDArray[np.float32]:
@@ -169,47 +172,13 @@ def decode_cloud(data: bytes, told: FrameTold) -> NDArray[np.float32]:
     off or is not of the size that was told."""
     if len(data) != told.size:
         raise ScanDropError(told.file, f"half a frame: {len(data)} of {told.size} bytes")
-    array = _npy(_member(data, told.file) if told.file.endswith(".npz") else data, told.file)
-    if array.shape != (*told.shape, 3):
-        raise ScanDropError(told.file, f"half a frame: shape {array.shape}, told was {(*told.shape, 3)}")
+    try:
+        array = _READ[told.file[-3:]](data, told.file, told.shape)
+    except CodecError as error:
+        raise ScanDropError(error.place, error.reason) from None
     points: NDArray[np.float32] = array.astype(np.float32)
     points[~np.isfinite(points).all(axis=2)] = np.nan
     return points
-
-
-def _member(data: bytes, place: str) -> bytes:
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as file:
-            entry = file.getinfo("points.npy")
-            if entry.file_size > LARGEST_FILE:
-                raise ScanDropError(place, f"{entry.file_size} bytes unpacked (limit {LARGEST_FILE})")
-            return file.read(entry)
-    except KeyError:
-        raise ScanDropError(place, "has no array called points") from None
-    except ScanDropError:
-        raise
-    except Exception as error:  # zipfile says broken in many ways
-        raise ScanDropError(place, f"is no readable NPZ file ({error})") from None
-
-
-def _npy(data: bytes, place: str) -> NDArray[Any]:
-    """The array; its header is believed only where it agrees with the bytes that follow.
-
-    NPY format: magic, version, little-endian header length of two bytes (version 1) or four, and a dictionary as text.
-    """
-    width = 2 if data[6:7] == b"\x01" else 4
-    start = 8 + width + int.from_bytes(data[8 : 8 + width], "little")
-    if not data.startswith(b"\x93NUMPY") or start > len(data):
-        raise ScanDropError(place, "is no readable NPY file")
-    header = data[8 + width : start]
-    found = _NPY.fullmatch(header)
-    if found is None:
-        text = header[:100].decode("latin-1").strip()
-        raise ScanDropError(place, f"{text}: rows of columns of three float32 or float64 are needed")
-    dtype, shape = np.dtype(found[1].decode()), (int(found[2]), int(found[3]), 3)
-    if math.prod(shape) * dtype.itemsize != len(data) - start:
-        raise ScanDropError(place, f"half a frame: {len(data) - start} bytes for an array {shape} of {dtype}")
-    return np.frombuffer(data, dtype, offset=start).reshape(shape)
 
 
 class _Fields:

@@ -43,9 +43,6 @@ class JointGeometry:
     face_inner_diameter_mm: float = 180.0
     face_outer_diameter_mm: float = 280.0
     ledge_step_mm: float = 5.0
-    bore_diameter_mm: float = 140.0
-    """Bore of the rotor's spigot: the hollow inner member of the press fit."""
-
     spigot_diameter_mm: float = 180.0
     spigot_length_mm: float = 3.0
     spigot_chamfer_mm: float = 0.5
@@ -57,6 +54,11 @@ class JointGeometry:
 
     shaft_mass_kg: float = 100.0
     """Everything that the jack's sensor carries."""
+
+    @property
+    def bore_diameter_mm(self) -> float:
+        """Bore of the rotor's spigot, the hollow inner member of the press fit: its wall is a ninth of it."""
+        return 7.0 / 9.0 * self.spigot_diameter_mm
 
     @property
     def count(self) -> int:

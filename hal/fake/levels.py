@@ -107,6 +107,12 @@ class Properties:
     """The brake closes so long after the torque has gone: the load falls meanwhile."""
     drive_delay_s: float = _n(0.005, "s")
     """From a halt command to the first deceleration: bus and drive cycle."""
+    part_exchange_s: float = _n(30.0, "s")
+    """Presenting rotor and shaft takes so long."""
+    nut_load_s: float = _n(2.0, "s")
+    """The feeder takes so long to put a nut into a socket."""
+    camera_swing_s: float = _n(4.0, "s")
+    """The camera's arm takes so long from one place to another."""
     ambient_c: float = _n(20.0, "Cel")
     fit_interference_mm: float = _n(math.nan, "mm")
     """Replaces the drawing's nominal interference."""

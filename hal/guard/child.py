@@ -26,7 +26,8 @@ class GuardChild:
         if self.process is not None and self.process.poll() is None:
             return
         self._let_go()
-        self.process = subprocess.Popen(self._command, stdin=subprocess.PIPE)
+        # In a session of its own: Ctrl-C at a terminal goes to the controller, which needs its guard to the end.
+        self.process = subprocess.Popen(self._command, stdin=subprocess.PIPE, start_new_session=True)
 
     async def close(self) -> None:
         """Let it end; one that does not is killed."""

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import pkgutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from hal.bus.camera import SOCKET
 from hal.bus.can import CanBus
 from hal.bus.ears import Link
 from hal.bus.modbus import Lines
 from hal.config import CellConfig
-from hal.entries import AXIS_UNITS, CanAxisEntry, FileDropEntry, ForceLineEntry, ModbusEntry, OpenProtocolEntry
+from hal.entries import (
+    AXIS_UNITS,
+    CanAxisEntry,
+    FileDropEntry,
+    ForceLineEntry,
+    GentlEntry,
+    GunEntry,
+    ModbusEntry,
+)
 from hal.interfaces import ForceSensor
 from hal.real.axes import CanAxis
 from hal.real.force import SerialForceSensor
-from hal.real.gun import OpenProtocolGun
+from hal.real.gentl import GentlScanner
 from hal.real.modbus_devices import modbus_device
 from hal.real.scanner import FileDropScanner
 
@@ -50,8 +60,8 @@ def real_devices(config: CellConfig, guarded: Guarded | None = None) -> RealDevi
             case CanAxisEntry():
                 assert link is not None and config.can is not None, "the cell file was checked"
                 devices[name] = CanAxis(name, AXIS_UNITS[name], entry, link, controller=config.can.node)
-            case OpenProtocolEntry():
-                devices[name] = OpenProtocolGun(name, entry)
+            case GunEntry():
+                devices[name] = pkgutil.resolve_name(entry.backend)(name, entry)
             case ForceLineEntry() if guarded and name == "jack_force":
                 devices[name] = guarded.jack_force
             case ForceLineEntry():
@@ -60,6 +70,8 @@ def real_devices(config: CellConfig, guarded: Guarded | None = None) -> RealDevi
             case FileDropEntry():
                 folder = config.beside(entry.folder)
                 devices[name] = FileDropScanner(name, entry.model_copy(update={"folder": folder}))
+            case GentlEntry():
+                devices[name] = GentlScanner(name, _producer(config, entry))
             case ModbusEntry():
                 devices[name] = modbus_device(name, _beside(config, entry), lines)
     return RealDevices(devices, can)
@@ -68,3 +80,10 @@ def real_devices(config: CellConfig, guarded: Guarded | None = None) -> RealDevi
 def _beside(config: CellConfig, entry: ModbusEntry) -> ModbusEntry:
     """A serial port is named relative to the cell file."""
     return entry.model_copy(update={"port_path": str(config.beside(entry.port_path))}) if entry.port_path else entry
+
+
+def _producer(config: CellConfig, entry: GentlEntry) -> GentlEntry:
+    """A producer's file is named relative to the cell file."""
+    if entry.producer.startswith(SOCKET):
+        return entry
+    return entry.model_copy(update={"producer": str(config.beside(entry.producer))})

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from hal.bus.folder import Folder
 from hal.codec import scan_drop as drop
+from hal.codec.cloud_arrays import LARGEST_FILE
 from hal.entries import FileDropEntry
 from hal.errors import DeviceFault, DeviceRefused, DeviceTimeout, ImplausibleReading, Interrupted, NotConnected
 from hal.interfaces import Frame, Identity, SafeState, View
 
 SIMULATOR = "cellctl"
 """What a simulator calls its vendor."""
-_OURS = re.compile(r"(\d{8,})\.(?:request\.json|answer\.json|npz|npy)")
+_OURS = re.compile(r"(\d{8,})\.(?:request\.json|answer\.json|npz|npy|ply|pcd)")
 _FAILURES = {"refused": DeviceRefused, "fault": DeviceFault, "interrupted": Interrupted}
 
 
@@ -112,17 +113,18 @@ class FileDropScanner:
 
     async def _cloud(self, told: drop.FrameTold) -> NDArray[np.float32]:
         try:
-            data = await self._folder.get(told.file, drop.LARGEST_FILE)
+            data = await self._folder.get(told.file, LARGEST_FILE)
             if data is None:
                 raise DeviceFault(f"{told.file} was told, and is not there", device=self._name)
             points_mm = await self._folder.work(drop.decode_cloud, data, told)
-            self._folder.discard(told.file)
         except drop.ScanDropError as error:
             raise DeviceFault(str(error), device=self._name) from None
         except TimeoutError:
             raise DeviceTimeout(f"{told.file} cannot be read in time", device=self._name) from None
         except OSError as error:
             raise NotConnected(str(error), device=self._name) from None
+        finally:
+            self._folder.discard(told.file)
         return points_mm
 
     # ------------------------------------------------------------ requests

@@ -26,6 +26,11 @@ WRITE_ONE = bytes.fromhex("06 0001 0003")
 """6.6: register 2 to 0003; echoed."""
 WRITE_MANY = bytes.fromhex("10 0001 0002 04 000A 0102")
 """6.12: registers 2 and 3."""
+READ_COILS = bytes.fromhex("01 0013 0013")
+"""6.1: coils 20 to 38; the answer is CD 6B 05."""
+COILS = tuple(int(bit) for byte in (0xCD, 0x6B, 0x05) for bit in f"{byte:08b}"[::-1])[:19]
+WRITE_COIL = bytes.fromhex("05 00AC FF00")
+"""6.5: coil 173 on; echoed."""
 
 
 def on_tcp(body: bytes, transaction: int = 0x1501, unit: int = 0xFF) -> bytes:
@@ -49,6 +54,8 @@ def test_the_crc_of_the_serial_line_guide() -> None:
         (READ_INPUT, (0x000A,), "04 02 000A"),
         (WRITE_ONE, (), "06 0001 0003"),
         (WRITE_MANY, (), "10 0001 0002"),
+        (READ_COILS, COILS, "01 03 CD6B05"),
+        (WRITE_COIL, (), "05 00AC FF00"),
     ],
 )
 def test_requests_and_answers_of_the_specification(body: bytes, words: tuple[int, ...], answer: str) -> None:
@@ -63,13 +70,26 @@ def test_requests_and_answers_of_the_specification(body: bytes, words: tuple[int
 
 
 def test_an_exception_of_the_specification() -> None:
-    request, _ = take_request(on_tcp(bytes.fromhex("01 04A1 0001")), "tcp")
+    request, _ = take_request(on_tcp(bytes.fromhex("02 00C4 0016")), "tcp")
     assert isinstance(request, Unsupported)
     assert request.code is ExceptionCode.ILLEGAL_FUNCTION
+    request, _ = take_request(on_tcp(bytes.fromhex("01 04A1 0001")), "tcp")
+    assert isinstance(request, Request)
     assert refusal(request, ExceptionCode.ILLEGAL_ADDRESS, "tcp") == on_tcp(bytes.fromhex("81 02"))
 
 
-@pytest.mark.parametrize("body", ["03 0000 0000", "03 0000 007E", "10 0000 0002 02 0001", "10 0000 0000 00", "06 00"])
+@pytest.mark.parametrize(
+    "body",
+    [
+        "03 0000 0000",
+        "03 0000 007E",
+        "10 0000 0002 02 0001",
+        "10 0000 0000 00",
+        "06 00",
+        "01 0000 07D1",
+        "05 0000 0001",
+    ],
+)
 def test_impossible_counts_are_refused_as_illegal_values(body: str) -> None:
     request, _ = take_request(on_tcp(bytes.fromhex(body)), "tcp")
     assert isinstance(request, Unsupported)
@@ -89,7 +109,10 @@ def test_what_is_no_frame_is_told(data: bytes, framing: Framing, match: str) -> 
         take_request(data, framing)
 
 
-@given(st.sampled_from((READ_HOLDING, READ_INPUT, WRITE_ONE, WRITE_MANY)), st.sampled_from(("tcp", "rtu")), st.binary())
+BODIES = (READ_COILS, READ_HOLDING, READ_INPUT, WRITE_COIL, WRITE_ONE, WRITE_MANY)
+
+
+@given(st.sampled_from(BODIES), st.sampled_from(("tcp", "rtu")), st.binary())
 def test_a_frame_is_taken_when_it_is_whole_and_no_sooner(body: bytes, framing: Framing, rest: bytes) -> None:
     frame = on_tcp(body) if framing == "tcp" else on_rtu(body)
     for end in range(len(frame)):

@@ -173,6 +173,13 @@ def test_printed_headers_are_read_and_written(printed: bytes, mid: int) -> None:
     assert alike(encode(Message(mid)), printed)
 
 
+def test_a_header_with_its_revision_as_a_manual_of_the_vendor_prints_it() -> None:
+    """9839 0732 01 (MT Focus 6000), "Start communication"."""
+    printed = b"002000010060        "
+    assert one(printed) == Message(1, revision=6)
+    assert alike(encode(Message(1, revision=6)), printed)
+
+
 def test_revision_2_of_a_result_says_the_same_in_other_places() -> None:
     value = read_result(one(RESULT_2))
     assert (value.number, value.parameter_set, value.ok) == (184887, 1, False)

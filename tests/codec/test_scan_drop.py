@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from hal.codec import cloud_arrays
 from hal.codec import scan_drop as drop
 
 CAPTURE = drop.Request(17, "capture", "rotor")
@@ -69,6 +70,10 @@ def test_a_wrong_answer_names_its_place(old: bytes, young: bytes, place: str) ->
     assert caught.value.place == place
 
 
+KINDS = ("npz", "npy", "ply", "pcd")
+TABLES = ("ply", "pcd")
+
+
 def cloud(shape: tuple[int, int] = (4, 6), seed: int = 1) -> NDArray[np.float32]:
     return np.random.default_rng(seed).normal(size=(*shape, 3)).astype(np.float32)
 
@@ -83,6 +88,20 @@ def npy(array: Any) -> bytes:
     file = io.BytesIO()
     np.save(file, array, allow_pickle=True)
     return file.getvalue()
+
+
+def text(kind: str, points: NDArray[np.float32], line: str = "{} {} {}") -> bytes:
+    """A file as text, by hand; `line` is what stands for a point."""
+    rows, columns = points.shape[:2]
+    body = "".join(line.format(*(repr(float(one)) for one in point)) + "\n" for point in points.reshape(-1, 3))
+    names = ("a", "x", "y", "z")[0 if line.startswith("7") else 1 :]
+    if kind == "ply":
+        properties = "".join(f"property float {name}\n" for name in names)
+        head = f"ply\nformat ascii 1.0\ncomment by hand\nelement vertex {rows * columns}\n{properties}end_header\n"
+    else:
+        head = f"# .PCD v0.7\nVERSION 0.7\nFIELDS {' '.join(names)}\nSIZE{' 4' * len(names)}\nTYPE{' F' * len(names)}\n"
+        head += f"WIDTH {columns}\nHEIGHT {rows}\nPOINTS {rows * columns}\nDATA ascii\n"
+    return (head + body).encode()
 
 
 def told(data: bytes, shape: tuple[int, int] = (4, 6), kind: str = "npz") -> drop.FrameTold:
@@ -101,6 +120,57 @@ def test_clouds_come_back() -> None:
     assert np.array_equal(drop.decode_cloud(wide, told(wide, kind="npy")), points, equal_nan=True)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_comes_back_and_wider_numbers_too(kind: Any) -> None:
+    points = cloud()
+    points[0, 0] = np.nan
+    data = drop.encode_cloud(points, kind)
+    back = drop.decode_cloud(data, told(data, kind=kind))
+    assert back.dtype == np.float32
+    assert np.array_equal(back, points, equal_nan=True)
+    assert back.flags.writeable
+
+
+def test_the_headers_of_tables_are_these_bytes() -> None:
+    points = np.arange(18, dtype=np.float32).reshape(2, 3, 3)
+    assert drop.encode_cloud(points, "ply") == (
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 6\n"
+        b"property float x\nproperty float y\nproperty float z\nend_header\n" + points.astype("<f4").tobytes()
+    )
+    assert drop.encode_cloud(points, "pcd") == (
+        b"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 2\n"
+        b"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 6\nDATA binary\n" + points.astype("<f4").tobytes()
+    )
+
+
+@pytest.mark.parametrize("kind", TABLES)
+@pytest.mark.parametrize("line", ["{} {} {}", "7 {} {} {}"])
+def test_tables_as_text_with_other_columns_are_read(kind: str, line: str) -> None:
+    points = cloud()
+    points[2, 3] = np.nan
+    data = text(kind, points, line)
+    assert np.array_equal(drop.decode_cloud(data, told(data, kind=kind)), points, equal_nan=True)
+
+
+def test_a_ply_file_of_doubles_in_network_order_with_a_colour_is_read() -> None:
+    points, record = cloud(), np.dtype([("r", "u1"), ("x", ">f8"), ("z", ">f8"), ("y", ">f8")])
+    rows = np.zeros(24, record)
+    for axis, name in enumerate("xyz"):
+        rows[name] = points[..., axis].ravel()
+    head = "".join(f"property {kind} {name}\n" for kind, name in (("uchar", "r"), *(("double", n) for n in "xzy")))
+    data = f"ply\nformat binary_big_endian 1.0\nelement vertex 24\n{head}end_header\n".encode() + rows.tobytes()
+    assert np.array_equal(drop.decode_cloud(data, told(data, kind="ply")), points)
+
+
+def test_a_pcd_file_may_fill_its_last_page_with_zeros_and_nothing_else() -> None:
+    data = drop.encode_cloud(cloud(), "pcd")
+    padded = data + bytes(100)
+    assert np.array_equal(drop.decode_cloud(padded, told(padded, kind="pcd")), cloud())
+    more = data + cloud()[0, 0].tobytes()
+    with pytest.raises(drop.ScanDropError, match="half a frame"):
+        drop.decode_cloud(more, told(more, kind="pcd"))
+
+
 def test_a_point_that_is_not_finite_in_one_coordinate_is_none() -> None:
     points = cloud()
     points[1, 2, 0] = np.inf
@@ -112,10 +182,11 @@ def test_a_point_that_is_not_finite_in_one_coordinate_is_none() -> None:
     assert np.isfinite(back).sum() == 3 * (4 * 6 - 2)
 
 
-@pytest.mark.parametrize("kind", ["npz", "npy"])
+@pytest.mark.parametrize("kind", [*KINDS, "ply text", "pcd text"])
 @given(share=st.floats(0.0, 0.999))
-def test_half_a_file_is_no_cloud(kind: str, share: float) -> None:
-    data = drop.encode_cloud(cloud()) if kind == "npz" else npy(cloud())
+def test_half_a_file_is_no_cloud(kind: Any, share: float) -> None:
+    data = text(kind[:3], cloud()) if "text" in kind else drop.encode_cloud(cloud(), kind)
+    kind = kind[:3]
     part = data[: int(share * len(data))]
     with pytest.raises(drop.ScanDropError, match="half a frame"):
         drop.decode_cloud(part, told(data, kind=kind))
@@ -123,18 +194,23 @@ def test_half_a_file_is_no_cloud(kind: str, share: float) -> None:
         drop.decode_cloud(part, told(part, kind=kind))
 
 
+@pytest.mark.parametrize("kind", [*KINDS, "ply text", "pcd text"])
 @given(st.data())
-def test_a_mutated_file_is_refused_or_still_a_cloud_of_its_shape(data: st.DataObject) -> None:
-    whole = bytearray(drop.encode_cloud(cloud()))
+def test_a_mutated_file_is_refused_or_still_a_cloud_of_its_shape(kind: Any, data: st.DataObject) -> None:
+    whole = bytearray(text(kind[:3], cloud()) if "text" in kind else drop.encode_cloud(cloud(), kind))
+    kind = kind[:3]
+    header = st.integers(0, min(len(whole) - 1, 200))
     for _ in range(data.draw(st.integers(1, 4))):
-        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+        at = data.draw(header if data.draw(st.booleans()) else st.integers(0, len(whole) - 1))
+        whole[at] = data.draw(st.integers(0, 255))
     try:
-        back = drop.decode_cloud(bytes(whole), told(bytes(whole)))
+        back = drop.decode_cloud(bytes(whole), told(bytes(whole), kind=kind))
     except drop.ScanDropError:
         return
     assert back.shape == (4, 6, 3)
 
 
+PLY, PCD = drop.encode_cloud(cloud(), "ply"), drop.encode_cloud(cloud(), "pcd")
 OBJECTS = np.array([[[{}, {}, {}]]], dtype=object)
 
 
@@ -149,6 +225,23 @@ OBJECTS = np.array([[[{}, {}, {}]]], dtype=object)
         (npy(cloud().reshape(-1, 3)), "npy", "24, 3"),
         (b"ply\nformat ascii 1.0\n", "npz", "no readable NPZ"),
         (b"", "npy", "no readable NPY"),
+        (b"", "ply", "header does not end"),
+        (PCD, "ply", "header does not end"),
+        (b"x\n" + PLY, "ply", "no PLY file"),
+        (PLY.replace(b"vertex 24", b"vertex 23"), "ply", "23 points"),
+        (PLY.replace(b"float z", b"float w"), "ply", "not named once"),
+        (PLY.replace(b"float z", b"float x"), "ply", "not named once"),
+        (PLY.replace(b"float z", b"int z"), "ply", "no floating-point"),
+        (PLY.replace(b"property float x", b"property list uchar int x"), "ply", "without lists"),
+        (PLY.replace(b"end_header", b"element face 0\nend_header"), "ply", "one element vertex"),
+        (PLY.replace(b"binary_little", b"binary_middle"), "ply", "header line"),
+        (PCD.replace(b"HEIGHT 4", b"HEIGHT 1").replace(b"WIDTH 6", b"WIDTH 24"), "pcd", "1 rows of 24"),
+        (PCD.replace(b"DATA binary", b"DATA binary_compressed"), "pcd", "is not read"),
+        (PCD.replace(b"COUNT 1 1 1", b"COUNT 1 1 2"), "pcd", "numbers, one for each"),
+        (PCD.replace(b"TYPE F F F", b"TYPE F F"), "pcd", "numbers, one for each"),
+        (PCD.replace(b"TYPE F F F", b"TYPE I I I"), "pcd", "no floating-point"),
+        (PCD.replace(b"POINTS 24\n", b""), "pcd", "misses POINTS"),
+        (text("ply", cloud()).replace(b"\n-", b"\nno", 1), "ply", "no table"),
     ],
 )
 def test_what_is_no_organised_cloud_is_refused(data: bytes, kind: str, reason: str) -> None:
@@ -166,7 +259,7 @@ def test_a_header_that_promises_more_than_comes_takes_no_memory() -> None:
 
 
 def test_a_packed_file_that_is_huge_unpacked_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drop, "LARGEST_FILE", 10_000)
+    monkeypatch.setattr(cloud_arrays, "LARGEST_FILE", 10_000)
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as bomb:
         bomb.writestr("points.npy", b"\0" * 1_000_000)

@@ -15,7 +15,16 @@ from hal.fake.faults import Fault, FaultBook
 from hal.fake.geometry import JointGeometry
 from hal.fake.levels import Level
 from hal.fake.plant import Plant, TwinSettings
-from tests.contract import wire_axis, wire_force, wire_guard, wire_gun, wire_modbus, wire_scanner
+from tests.contract import (
+    wire_axis,
+    wire_force,
+    wire_gentl,
+    wire_guard,
+    wire_gun,
+    wire_kducer,
+    wire_modbus,
+    wire_scanner,
+)
 from tests.contract.fakes import fake_device
 
 OPEN_FIT = {"fit_interference_mm": -0.2}
@@ -135,12 +144,20 @@ BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType(
             WireBackend(wire_guard.installed_force, "wire_guard", speed=5.0),
         ),
         "test_gap_probe": (FAKE, _MODBUS),
-        "test_gun": (FAKE, WireBackend(wire_gun.installed, speed=200.0)),
+        "test_gun": (
+            FAKE,
+            WireBackend(wire_gun.installed, speed=200.0),
+            WireBackend(wire_kducer.installed, "wire_kducer", speed=200.0),
+        ),
         "test_heater": (FAKE, _MODBUS),
         "test_nut_feeder": (FAKE, _MODBUS),
         "test_part_station": (FAKE, _MODBUS),
         "test_safety": (FAKE, _MODBUS),
-        "test_scanner": (FAKE, WireBackend(wire_scanner.installed)),
+        "test_scanner": (
+            FAKE,
+            WireBackend(wire_scanner.installed),
+            WireBackend(wire_gentl.installed, "gentl", speed=10.0),
+        ),
         "test_thermometer": (FAKE, _MODBUS, _MODBUS_RTU),
     }
 )

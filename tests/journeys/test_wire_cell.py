@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cellctl.gun_programs import programs_of
@@ -17,11 +18,14 @@ from cellctl.records.verify import read_record, verify
 from cellctl.twin import twin_of
 from hal.cell import Cell, build_cell
 from hal.clock import QuickenedLoop
+from hal.config import CellConfig
+from hal.entries import GentlEntry
 from hal.errors import ConfigError, DeviceError, SafetyOpen
 from hal.fake.wire.stand import Stand, standing
+from hal.interfaces import View
 from hal.jobs import InlineJobs
 from tests.journeys.twin_runs import RECIPE, small_recipe
-from tests.journeys.wire_runs import CATCH_UP_S, assembled_over_the_wire, wire_cell
+from tests.journeys.wire_runs import CATCH_UP_S, assembled_over_the_wire, free_ports, wire_cell
 
 BRISK = {"pdo_s": 1.0, "heartbeat_s": 1.0, "rate_hz": 100.0}
 """Fewer messages than in a hall, for a loop that is to run fast."""
@@ -98,6 +102,45 @@ def test_nothing_is_simulated_on_another_machine(tmp_path: Path) -> None:
         twin = twin_of(recipe, elsewhere, InlineJobs(), seed=1)
         with pytest.raises(ConfigError, match=r"gun_a.*192\.0\.2\.7"):
             async with standing(elsewhere, twin.plant, twin.faults, twin.render, ()):
+                pass
+
+    _quick(main())
+
+
+def with_camera(config: CellConfig, producer: str) -> CellConfig:
+    """The same cell with a scanner behind GenTL."""
+    sets: dict[View, str] = {"rotor": "rotor", "shaft": "shaft"}
+    camera = GentlEntry(kind="gentl", producer=producer, user_sets=sets, reply_s=1000.0)
+    return config.model_copy(update={"devices": config.devices.model_copy(update={"scanner": camera})})
+
+
+def test_a_scanner_behind_gentl_is_simulated_at_the_address_of_its_producer(tmp_path: Path) -> None:
+    async def main() -> None:
+        recipe = load_recipe(RECIPE)
+        config = with_camera(wire_cell(tmp_path), f"socket://127.0.0.1:{free_ports()(0)}")
+        assert config.on_fakes().devices.scanner.kind == "fake"
+        twin = twin_of(recipe, config, InlineJobs(), seed=1)
+        async with standing(config, twin.plant, twin.faults, twin.render, programs_of(recipe.tighten)):
+            cell = build_cell(config)
+            try:
+                assert (await cell.scanner.connect()).model == "twin structured light (GenTL)"
+                twin.plant.camera = "rotor"
+                frame = await cell.scanner.capture("rotor")
+                assert frame.points_mm.shape[2] == 3
+                assert np.isfinite(frame.points_mm).all(axis=2).mean() > 0.1
+            finally:
+                await cell.close()
+
+    _quick(main())
+
+
+@pytest.mark.parametrize("producer", ["socket://192.0.2.7:4444", "/opt/maker/maker.cti"])
+def test_a_camera_elsewhere_is_not_simulated(tmp_path: Path, producer: str) -> None:
+    async def main() -> None:
+        recipe, config = load_recipe(RECIPE), with_camera(wire_cell(tmp_path), producer)
+        twin = twin_of(recipe, config, InlineJobs(), seed=1)
+        with pytest.raises(ConfigError, match="scanner"):
+            async with standing(config, twin.plant, twin.faults, twin.render, ()):
                 pass
 
     _quick(main())

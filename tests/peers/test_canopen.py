@@ -17,6 +17,7 @@ from hal.fake.faults import FaultBook
 from hal.real.axes import CanAxis
 from tests.contract.backends import plant_of
 from tests.contract.wire_axis import beat, bus_of, entry_of, wired
+from tests.peers.peers import met_package
 
 pytestmark = pytest.mark.peers
 NUMBER = 3
@@ -35,6 +36,7 @@ async def beating(bus: CanBus) -> AsyncIterator[None]:
 def connected(port: int) -> Any:
     import canopen
 
+    met_package("canopen")
     network = canopen.Network()
     network.connect(
         interface="slcan",

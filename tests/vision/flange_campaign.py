@@ -44,6 +44,7 @@ class Outcome:
     tilt_deg: float = float("nan")
     sigma_clocking_deg: float = float("nan")
     circle_mm: float = float("nan")
+    sigma_circle_mm: float = float("nan")
     nominal_rms_mm: float = float("nan")
 
     @property
@@ -77,6 +78,7 @@ def compared(scan: Scan, measured: PartMeasurement) -> Outcome:
         tilt_deg=float(np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))),
         sigma_clocking_deg=measured.sigma_clocking_deg,
         circle_mm=measured.circle_diameter_mm - PART.circle_diameter_mm,
+        sigma_circle_mm=measured.quality["sigma_circle_mm"],
         nominal_rms_mm=float(np.sqrt(np.mean(np.sum(misses**2, axis=1)))),
     )
 
@@ -101,6 +103,11 @@ def spread(values: Sequence[float], limit: float) -> dict[str, float]:
     }
 
 
+def rms(values: Sequence[float]) -> float | None:
+    """Root of the mean square, None where there is nothing."""
+    return round(float(np.sqrt(np.mean(np.square(values)))), 3) if values else None
+
+
 def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """What a set of scenes came to."""
     posed = [one for one in outcomes if not one.code]
@@ -112,12 +119,9 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "wrong": len(posed) - len(right),
         "all holes found": len(whole),
         "clocking deg": spread([one.clocking_deg for one in right], 0.25),
-        "clocking over sigma, rms": round(
-            float(np.sqrt(np.mean([(one.clocking_deg / one.sigma_clocking_deg) ** 2 for one in right]))), 3
-        )
-        if right
-        else None,
+        "clocking over sigma, rms": rms([one.clocking_deg / one.sigma_clocking_deg for one in right]),
         "circle diameter mm": spread([one.circle_mm for one in whole], 0.1),
+        "circle diameter over sigma, rms": rms([one.circle_mm / one.sigma_circle_mm for one in right]),
         "hole to nominal rms mm": spread([one.nominal_rms_mm for one in whole], 0.2),
     }
 

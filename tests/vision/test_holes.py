@@ -117,6 +117,43 @@ def test_holes_without_a_chamfer() -> None:
     assert np.median([feature.radius_mm or 0.0 for feature in measured.features]) == pytest.approx(4.15, abs=0.01)
 
 
+def plain_scan(seed: int) -> tuple[View, np.ndarray, np.ndarray, np.ndarray]:
+    """Holes without a chamfer: view, cloud, its points (H, W, 3) about the nearest hole, its number (H, W)."""
+    rng = np.random.default_rng(seed)
+    part = replace(SHAFT, chamfer_diameter_mm=None)
+    view = view_of(part, rng, 500)
+    cloud, true = render(view, rng), true_centres(view)
+    local = transform(inverse(view.T_scanner_part), cloud.astype(np.float64))
+    angle = np.arctan2(local[..., 1], local[..., 0]) / (2.0 * np.pi) * part.count
+    nearest = np.where(np.isfinite(angle), np.rint(angle), 0.0).astype(np.intp) % part.count
+    return view, cloud, local - true[nearest], nearest
+
+
+@pytest.mark.parametrize("seed", [21, 22, 23])
+def test_walls_and_outlines_that_put_the_part_elsewhere_are_not_mixed(seed: int) -> None:
+    """Every edge is worn on one side by a quarter of a millimetre; then every third hole shows no wall either."""
+    view, cloud, about, nearest = plain_scan(seed)
+    rho = np.hypot(about[..., 0], about[..., 1])
+    worn = (np.abs(about[..., 2]) < 0.3) & (about[..., 0] > 0.3 * rho) & (rho < 4.4)
+    blind = (nearest % 3 == 0) & (about[..., 2] < -0.3) & (rho < 6.0)
+    cloud[worn] = np.nan
+    walled = centre_errors(view, measure_part(cloud, view.part))[:, :2]
+    assert np.abs(walled).max() < 0.03  # by walls alone: wear moves nothing
+    cloud[blind] = np.nan
+    measured = measure_part(cloud, view.part)
+    assert measured.found == view.part.count
+    off = centre_errors(view, measured)[:, 0]
+    mixed = off[::3].mean() - np.delete(off, np.s_[::3]).mean()
+    assert off.mean() > 0.08 and abs(mixed) < 0.5 * off.mean(), (off.mean(), mixed)
+
+
+def test_walls_fill_in_where_they_agree_with_the_outlines() -> None:
+    view, cloud, about, nearest = plain_scan(24)
+    cloud[(nearest % 3 == 0) & (about[..., 2] < -0.5) & (np.hypot(about[..., 0], about[..., 1]) < 6.0)] = np.nan
+    error = np.hypot(*centre_errors(view, measure_part(cloud, view.part))[:, :2].T)
+    assert np.sqrt(np.mean(np.delete(error, np.s_[::3]) ** 2)) < 0.02 < np.sqrt(np.mean(error[::3] ** 2)) < 0.1
+
+
 def test_sizes_that_the_recipe_does_not_give_are_estimated() -> None:
     rng = np.random.default_rng(13)
     view = replace(view_of(FLANGE, rng, 400), field_mm=230.0)

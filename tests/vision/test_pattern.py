@@ -103,6 +103,23 @@ def test_circle_diameter_is_measured() -> None:
     assert fitted.diameter_mm == pytest.approx(150.15, abs=0.02)
 
 
+@pytest.mark.parametrize("scatter_mm", [0.0, 0.1])
+def test_the_circle_is_as_sure_as_it_says(scatter_mm: float) -> None:
+    """Centres that are known unequally well, on places as drawn and on places that scatter beyond that.
+
+    Its own error is among the scatter that it is judged by: it claims a little less than it knows.
+    """
+    rng = np.random.default_rng(6)
+    part = replace(SHAFT, angles_deg=(0.0, 45.0, 135.0, 225.0, 315.0), diameter_mm=None)
+    off = []
+    for _ in range(400):
+        own = rng.uniform(0.03, 0.1, 5)
+        noise = np.hypot(own, scatter_mm)[:, None] * rng.standard_normal((5, 2))
+        fitted = fit_pattern(part, nominal(part) + noise, own[:, None, None] ** 2 * np.eye(2), 0.0)
+        off.append((fitted.diameter_mm - part.circle_diameter_mm) / fitted.sigma_diameter_mm)
+    assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.1
+
+
 def test_missing_features_are_left_out_and_two_are_too_few() -> None:
     places = placed(FLANGE, (1.0, 2.0), 0.1)
     places[[1, 4]] = np.nan

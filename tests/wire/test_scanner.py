@@ -74,6 +74,22 @@ def test_each_fault_has_its_error_and_the_next_frame_is_good(
     on_wire(case)
 
 
+@pytest.mark.parametrize("kind", ["npz", "npy", "ply", "pcd"])
+def test_every_kind_of_file_brings_the_same_cloud_and_half_of_it_none(kind: Any) -> None:
+    async def case(server: DropFolder, scanner: FileDropScanner) -> None:
+        server.kind = kind
+        cloud = (await scanner.capture("rotor")).points_mm
+        assert cloud.shape == (4, 6, 3)
+        server.wire.half_file = 1
+        with pytest.raises(DeviceFault, match="half a frame"):
+            await scanner.capture("rotor")
+        assert (await scanner.capture("rotor")).points_mm.shape == cloud.shape
+        await scanner.close()
+        assert not [path.name for path in server.folder.iterdir() if path.suffix == f".{kind}"], "what was read is gone"
+
+    on_wire(case)
+
+
 def test_a_late_answer_is_not_taken_for_the_next() -> None:
     async def case(server: DropFolder, scanner: FileDropScanner) -> None:
         await asyncio.sleep(1.0 - asyncio.get_running_loop().time())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 from hal.errors import DeviceFault, DeviceRefused
@@ -14,21 +13,13 @@ from hal.interfaces import ParkState, SafeState
 Position = Literal["parked", "rotor", "shaft"]
 
 
-@dataclass(frozen=True, slots=True)
-class ArmData:
-    """How long one swing takes."""
-
-    swing_s: float = 4.0
-
-
 class FakeCameraPark(IoDevice):
     """Implements `hal.interfaces.CameraPark`. The arm's place is the plant's; end switches say where it is."""
 
     model = "camera arm"
 
-    def __init__(self, name: str, plant: Plant, faults: FaultBook, data: ArmData | None = None) -> None:
+    def __init__(self, name: str, plant: Plant, faults: FaultBook) -> None:
         super().__init__(name, plant, faults)
-        self._data = data or ArmData()
         self._stroke = Stroke()
 
     async def read(self) -> ParkState:
@@ -42,7 +33,7 @@ class FakeCameraPark(IoDevice):
         now = await self._powered("go")
         if self._plant.camera != position:
             self._plant.camera = "moving"
-            await self._stroke.run(self._data.swing_s, device=self.name)
+            await self._stroke.run(self._plant.numbers.properties.camera_swing_s, device=self.name)
             now = await self._exchange("go")
             if self._faults.active(self.name, "stuck_between", now):
                 raise DeviceFault(f"no end switch on the way to {position}", device=self.name)

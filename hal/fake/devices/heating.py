@@ -10,7 +10,7 @@ import numpy as np
 from hal.errors import ConfigError, DeviceRefused, SafetyOpen
 from hal.fake.devices.io import IoDevice
 from hal.fake.faults import FaultBook
-from hal.fake.heat.control import HeaterControl
+from hal.fake.heat.control import HeaterControl, RegulatorSettings
 from hal.fake.heat.state import Thermal, drawn_imperfections, drawn_properties
 from hal.fake.heat.thermal import pyrometer_c
 from hal.fake.plant import Plant
@@ -173,6 +173,6 @@ def install_heat(plant: Plant) -> Thermal:
         lambda: plant.shaft,
         plant.now,
     )
-    thermal.source = HeaterControl()
+    thermal.source = HeaterControl(RegulatorSettings().tuned_to(thermal.properties.heated_j_per_k))
     plant.thermal = thermal
     return thermal

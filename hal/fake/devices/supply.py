@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 from hal.errors import ConfigError, DeviceFault, DeviceRefused
@@ -12,13 +11,12 @@ from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.interfaces import SafeState
 
-
-@dataclass(frozen=True, slots=True)
-class StationData:
-    """How long presenting takes, and the height up to which the jack must stand for it."""
-
-    present_s: float = 30.0
-    jack_low_mm: float = 1.0
+JACK_LOW_MM = 1.0
+"""Parts go in with the jack no higher than this."""
+SPARE = 4
+"""Nuts in the magazine beyond those of one joint."""
+GUNS_BACK_MM = 1.0
+"""Guns are loaded at or below this feed."""
 
 
 class FakePartStation(IoDevice):
@@ -26,17 +24,13 @@ class FakePartStation(IoDevice):
 
     model = "part station"
 
-    def __init__(self, name: str, plant: Plant, faults: FaultBook, data: StationData | None = None) -> None:
-        super().__init__(name, plant, faults)
-        self._data = data or StationData()
-
     async def present(self, rotor: str, shaft: str) -> tuple[str, str]:
         """Serial numbers as read on the parts. Raises DeviceRefused (jack up), DeviceFault (code unreadable)."""
         now = await self._exchange("present")
         height = self._plant.motion["jack"].position(now)
-        if height > self._data.jack_low_mm:
+        if height > JACK_LOW_MM:
             raise DeviceRefused(f"the jack stands at {height:.1f} mm, parts go in at 0 mm", device=self.name)
-        await asyncio.sleep(self._data.present_s)
+        await asyncio.sleep(self._plant.numbers.properties.part_exchange_s)
         now = await self._exchange("present")
         if self._faults.active(self.name, "unreadable", now):
             raise DeviceFault("a serial number cannot be read", device=self.name)
@@ -55,24 +49,14 @@ class Sockets(Protocol):
     def load_nut(self, gun: Literal["a", "b"]) -> None: ...
 
 
-@dataclass(frozen=True, slots=True)
-class FeederData:
-    """Magazine of the nut feeder; `spare` nuts beyond those of one joint. Guns load at or below `back_mm`."""
-
-    spare: int = 4
-    load_s: float = 2.0
-    back_mm: float = 1.0
-
-
 class FakeNutFeeder(IoDevice):
     """Implements `hal.interfaces.NutFeeder`. New parts come with a full magazine."""
 
     model = "nut feeder"
 
-    def __init__(self, name: str, plant: Plant, faults: FaultBook, data: FeederData | None = None) -> None:
+    def __init__(self, name: str, plant: Plant, faults: FaultBook) -> None:
         super().__init__(name, plant, faults)
-        self._data = data or FeederData()
-        self._full = plant.geometry.count + self._data.spare
+        self._full = plant.geometry.count + SPARE
         self._filled_for = plant.shaft
         self._left = self._full
         self._strokes: dict[str, Stroke] = {"a": Stroke(), "b": Stroke()}
@@ -90,12 +74,12 @@ class FakeNutFeeder(IoDevice):
         """
         now = await self._powered("load")
         feed = self._plant.motion["gun_feed"].position(now)
-        if feed > self._data.back_mm:
+        if feed > GUNS_BACK_MM:
             raise DeviceRefused(f"the guns stand at {feed:.1f} mm, not back", device=self.name)
         sockets = self._sockets()
         if sockets.socket_has_nut(gun):
             raise DeviceRefused(f"the socket of gun {gun} holds a nut already", device=self.name)
-        await self._strokes[gun].run(self._data.load_s, device=self.name)
+        await self._strokes[gun].run(self._plant.numbers.properties.nut_load_s, device=self.name)
         now = await self._exchange("load")
         if self._in_magazine(now) == 0 or self._faults.take(self.name, "missing_nut", now):
             return False

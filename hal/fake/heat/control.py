@@ -6,7 +6,7 @@ It belongs to the plant and lives on when a controller crashes; `hal.fake.device
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hal.fake.faults import FaultBook
 
@@ -26,6 +26,11 @@ class RegulatorSettings:
     """Independent switch that opens the contactor."""
     watchdog_s: float = 5.0
     """Off-line trip after the link was lost for so long."""
+
+    def tuned_to(self, capacity_j_per_k: float) -> RegulatorSettings:
+        """The same regulator commissioned on a load of that heat capacity."""
+        ratio = capacity_j_per_k / self.capacity_j_per_k
+        return replace(self, gain_w_per_k=self.gain_w_per_k * ratio, capacity_j_per_k=capacity_j_per_k)
 
 
 def regulate(

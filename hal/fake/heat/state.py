@@ -21,6 +21,7 @@ from hal.fake.heat.thermal import (
     interference_mm,
     lagged,
     midpoint,
+    ring_j_per_k,
     step,
 )
 from hal.fake.levels import TwinNumbers
@@ -71,8 +72,17 @@ class ThermalImperfections:
 
 
 def drawn_properties(geometry: JointGeometry, numbers: TwinNumbers) -> ThermalProperties:
-    """Thermal data of a joint from its drawing."""
+    """Thermal data of a joint from its drawing: a flange as thick as its holes are deep, a disc twice as heavy."""
+    drawn, usual = geometry, ThermalProperties()
+    flange_j_per_k = ring_j_per_k(drawn.face_inner_diameter_mm, drawn.face_outer_diameter_mm, drawn.hole_depth_mm)
+    around = drawn.spigot_diameter_mm / usual.spigot_diameter_mm
+    rim = around * drawn.spigot_length_mm / usual.spigot_length_mm
     return ThermalProperties(
+        rim_j_per_k=usual.rim_j_per_k * rim,
+        flange_j_per_k=flange_j_per_k,
+        disc_j_per_k=2.0 * flange_j_per_k,
+        neck_w_per_k=usual.neck_w_per_k * around,
+        loss_time_s=usual.loss_time_s * flange_j_per_k / usual.flange_j_per_k,
         ambient_c=numbers.properties.ambient_c,
         spigot_diameter_mm=geometry.spigot_diameter_mm,
         spigot_length_mm=geometry.spigot_length_mm,

@@ -18,6 +18,10 @@ from typing import Literal, NamedTuple
 Member = Literal["shaft", "rotor"]
 
 
+VOLUMETRIC_J_PER_K_MM3 = 8.19e-6 * 435.0
+"""Nickel alloy 718: 8.19 g/cm3, 435 J/(kg K)."""
+
+
 class Zones(NamedTuple):
     """Temperatures of the four zones."""
 
@@ -58,6 +62,16 @@ class ThermalProperties:
     heated: Member = "shaft"
     rim_share: float = 0.05
     """Share of the heater's power that enters at the rim, the rest at the body."""
+
+    @property
+    def heated_j_per_k(self) -> float:
+        """Heat capacity of the member that the heater heats."""
+        return self.rim_j_per_k + (self.flange_j_per_k if self.heated == "shaft" else self.disc_j_per_k)
+
+
+def ring_j_per_k(inner_mm: float, outer_mm: float, thick_mm: float) -> float:
+    """Heat capacity of a flat ring of nickel alloy between two diameters."""
+    return VOLUMETRIC_J_PER_K_MM3 * math.pi / 4.0 * (outer_mm**2 - inner_mm**2) * thick_mm
 
 
 def at_rest(properties: ThermalProperties) -> Zones:

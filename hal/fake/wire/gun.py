@@ -9,11 +9,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
+from typing import Self
 
 from hal.codec import open_protocol_messages as m
 from hal.codec import open_protocol_trace as t
 from hal.codec.open_protocol import Message
 from hal.codec.open_protocol_result import old_result, result
+from hal.entries import OpenProtocolEntry
 from hal.errors import CellError, SafetyOpen, UnknownOutcome
 from hal.fake.devices.guns import FakeGun
 from hal.fake.faults import FaultBook
@@ -66,6 +68,13 @@ class GunController:
         self._runs = False
         self._handlers = self._table()
         self._server = Server(name, faults, self.wire, self._handle)
+
+    @classmethod
+    def of(
+        cls, name: str, entry: OpenProtocolEntry, plant: Plant, faults: FaultBook, programs: Sequence[Program]
+    ) -> Self:
+        """The controller that `entry` of the cell file names."""
+        return cls(name, plant, faults, programs, host=entry.host, port=entry.port, order=entry.trace_order)
 
     async def start(self) -> int:
         """Listen; returns the port."""

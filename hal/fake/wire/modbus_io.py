@@ -12,7 +12,7 @@ from hal.codec import maps
 from hal.codec.modbus import ExceptionCode
 from hal.codec.registers import Bits, Block, RegisterField
 from hal.errors import CellError, ConfigError, DeviceFault, DeviceRefused
-from hal.fake.devices.supply import FeederData, Sockets
+from hal.fake.devices.supply import GUNS_BACK_MM, Sockets
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.fake.wire.modbus_units import Part, Watchdog
@@ -151,7 +151,7 @@ class FeederPart(StrokePart):
         if not isinstance(joints, Sockets):
             raise ConfigError("the plant has no sockets", place=f"devices.{self.name}")
         inputs = self.coupler()
-        if self._plant.motion["gun_feed"].position(now) <= FeederData().back_mm:
+        if self._plant.motion["gun_feed"].position(now) <= GUNS_BACK_MM:
             inputs.add("guns_back")
         for gun in GUNS:
             inputs |= {f"out_{gun}"} if self.done(f"slide_{gun}") else set()

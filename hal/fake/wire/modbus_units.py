@@ -8,7 +8,7 @@ from typing import Any
 
 from hal.bus.modbus_server import Refusal, Silence
 from hal.codec import maps
-from hal.codec.modbus import READ_HOLDING, READ_INPUT, ExceptionCode, Request
+from hal.codec.modbus import READ_COILS, READ_HOLDING, READ_INPUT, WRITE_COIL, ExceptionCode, Request
 from hal.codec.registers import Block, Image, RegisterError, RegisterField
 from hal.errors import DeviceError, DeviceFault, DeviceTimeout, NotConnected, SafetyError
 from hal.fake.faults import FaultBook
@@ -102,6 +102,8 @@ class Unit:
                 raise Refusal(ExceptionCode.ILLEGAL_VALUE) from None
 
     async def _answer(self, request: Request) -> tuple[int, ...]:
+        if request.function in (READ_COILS, WRITE_COIL):
+            raise Refusal(ExceptionCode.ILLEGAL_FUNCTION)
         if request.address >= maps.IDENTITY.start:
             return await self._who(request)
         base, part = self._part(request)

@@ -41,8 +41,17 @@ class WireFaults:
 class DropFolder:
     """The folder's other side. `scanner` must not act out faults of the link itself (see `behind.BehindWire`)."""
 
-    def __init__(self, scanner: FakeScanner, faults: FaultBook, folder: Path, *, poll_s: float = POLL_S) -> None:
+    def __init__(
+        self,
+        scanner: FakeScanner,
+        faults: FaultBook,
+        folder: Path,
+        *,
+        kind: drop.CloudKind = "npz",
+        poll_s: float = POLL_S,
+    ) -> None:
         self.name = scanner.name
+        self.kind = kind
         self.folder = folder
         self.serial = f"{scanner.name}-1"
         self.wire = WireFaults()
@@ -140,10 +149,10 @@ class DropFolder:
     async def _capture(self, request: drop.Request) -> drop.FrameTold:
         self.captures += 1
         frame = await self._scanner.capture(cast(View, request.view))
-        data = drop.encode_cloud(frame.points_mm)
+        data = drop.encode_cloud(frame.points_mm, self.kind)
         age_s = asyncio.get_running_loop().time() - frame.time_s
         rows, columns = frame.points_mm.shape[:2]
-        file = f"{request.stem}.npz"
+        file = f"{request.stem}.{self.kind}"
         told = drop.FrameTold(frame.frame_id, frame.view, self.wire.unit, age_s, file, len(data), (rows, columns))
         if self.wire.no_cloud:
             self.wire.no_cloud -= 1

@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import pkgutil
 from collections.abc import AsyncIterator, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 from urllib.parse import urlsplit
 
 from hal.bus.hub import CanHub
 from hal.config import CellConfig
-from hal.entries import CanAxisEntry, FileDropEntry, ForceLineEntry, ModbusEntry, OpenProtocolEntry
+from hal.entries import CanAxisEntry, FileDropEntry, ForceLineEntry, GentlEntry, GunEntry, ModbusEntry
 from hal.errors import ConfigError
 from hal.fake.devices.build import fake_devices
 from hal.fake.devices.scanner import Render
@@ -25,7 +26,7 @@ from hal.fake.plant import Plant
 from hal.fake.wire.behind import BehindWire
 from hal.fake.wire.can_node import CanNode
 from hal.fake.wire.force import ForceAmplifier
-from hal.fake.wire.gun import GunController
+from hal.fake.wire.gentl import SimulatedCamera
 from hal.fake.wire.gun_memory import Program
 from hal.fake.wire.modbus import SimulatedModbus
 from hal.fake.wire.scanner import DropFolder
@@ -35,6 +36,24 @@ _Server = tuple[str, int, str]
 """Host, port, serial port: what Modbus devices behind one server share."""
 
 
+class SimulatedGun(Protocol):
+    """A tightening controller, whoever made it."""
+
+    starts: list[str]
+    """What the programs that were started were told to be for, in order."""
+
+    async def start(self) -> int:
+        """Listen; returns the port."""
+        ...
+
+    async def close(self) -> None: ...
+    def drop(self) -> None:
+        """Drop every connection."""
+        ...
+
+    async def power_cycle(self) -> None: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Stand:
     """What runs, so that wires can be pulled and devices tampered with; devices by their names in the cell file."""
@@ -42,9 +61,9 @@ class Stand:
     hub: CanHub = field(default_factory=CanHub)
     nodes: dict[str, CanNode] = field(default_factory=dict)
     modbus: list[SimulatedModbus] = field(default_factory=list)
-    guns: dict[str, GunController] = field(default_factory=dict)
+    guns: dict[str, SimulatedGun] = field(default_factory=dict)
     forces: dict[str, ForceAmplifier] = field(default_factory=dict)
-    scanners: dict[str, DropFolder] = field(default_factory=dict)
+    scanners: dict[str, DropFolder | SimulatedCamera] = field(default_factory=dict)
 
 
 @contextlib.asynccontextmanager
@@ -59,27 +78,37 @@ async def standing(
     async with AsyncExitStack() as stack:
         await _drives(stack, stand, config, plant, faults)
         await _modbus(stack, stand, config, plant, faults, render)
-        for name, gun in _of(config, OpenProtocolEntry).items():
+        for name, gun in _of(config, GunEntry).items():
             _local(gun.host, f"devices.{name}.host")
-            controller = GunController(
-                name, plant, faults, programs, host=gun.host, port=gun.port, order=gun.trace_order
-            )
+            controller: SimulatedGun = pkgutil.resolve_name(gun.simulator)(name, gun, plant, faults, programs)
             stand.guns[name] = controller
             stack.push_async_callback(controller.close)
             await controller.start()
-        streams, scanners = _of(config, ForceLineEntry), _of(config, FileDropEntry)
-        behind = fake_devices(config, plant, BehindWire(faults), render, (*streams, *scanners))
+        streams, drops, cameras = _of(config, ForceLineEntry), _of(config, FileDropEntry), _of(config, GentlEntry)
+        behind = fake_devices(config, plant, BehindWire(faults), render, (*streams, *drops, *cameras))
         for name, line in streams.items():
             amplifier = ForceAmplifier(behind[name], faults, _room_for(config.beside(line.path)))
             stand.forces[name] = amplifier
             stack.push_async_callback(amplifier.close)
             await amplifier.start()
-        for name, drop in scanners.items():
+        for name, drop in drops.items():
             folder = DropFolder(behind[name], faults, config.beside(drop.folder))
             stand.scanners[name] = folder
             stack.push_async_callback(folder.close)
             await folder.start()
+        for name, camera in cameras.items():
+            await _camera(stack, stand, SimulatedCamera(behind[name], faults), camera.producer)
         yield stand
+
+
+async def _camera(stack: AsyncExitStack, stand: Stand, camera: SimulatedCamera, producer: str) -> None:
+    at = urlsplit(producer)
+    if at.scheme != "socket" or at.hostname is None or not at.port:
+        raise ConfigError("a camera is simulated at socket://HOST:PORT only", place=f"devices.{camera.name}.producer")
+    _local(at.hostname, f"devices.{camera.name}.producer")
+    stand.scanners[camera.name] = camera
+    stack.push_async_callback(camera.close)
+    await camera.start(at.hostname, at.port)
 
 
 async def _drives(stack: AsyncExitStack, stand: Stand, config: CellConfig, plant: Plant, faults: FaultBook) -> None:
