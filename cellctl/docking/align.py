@@ -51,17 +51,20 @@ def align(
     target = _serve_the_worst(joint, calibration, target, spec)
     meets = list(seen.partner)
     measured = _measured(joint, holes.noise_mm2 + studs.noise_mm2[meets], calibration, target)
-    systematic = causes(joint, calibration, measured_at, target, (holes.share, studs.share[meets]))
-    belief = _belief(joint, calibration, target, spec, np.concatenate([measured, systematic], axis=2))
+    shares = (holes.share, studs.share[meets])
+    stations = spec.stations()
+    systematic = np.stack([causes(joint, calibration, measured_at, target, at, shares) for at in stations])
+    everywhere = np.broadcast_to(measured, (len(stations), *measured.shape))
+    belief = _belief(joint, calibration, target, spec, np.concatenate([everywhere, systematic], axis=3))
     aim_rng = np.random.default_rng((spec.seed, 1))
     covariance_a = type_a(belief, measured, aim_rng)
-    covariance_b = rigid(systematic, belief.jacobian)
+    covariance_b = rigid(systematic.mean(axis=0), belief.jacobian)
     free = rotor.clocking_free or shaft.clocking_free
     return _result(belief, joint, calibration, measured_at, target, spec, (covariance_a, covariance_b), free)
 
 
 def _belief(joint: Joint, calibration: Calibration, at: AxesPosition, spec: AlignSpec, shared_mm: Array) -> Belief:
-    """What is believed of the bolts with the axes at `at`, for causes (n, 2, k) that they share."""
+    """What is believed of the bolts with the axes at `at`, for causes (stations, n, 2, k) that they share."""
     stations = spec.stations()
     passes = [offsets_at(joint, calibration, at, station) for station in stations]
     return Belief(
@@ -181,7 +184,7 @@ def _growth(joint: Joint, calibration: Calibration, at: AxesPosition, spec: Alig
 
 def _serve_the_worst(joint: Joint, calibration: Calibration, target: AxesPosition, spec: AlignSpec) -> AxesPosition:
     """Minimax polish over every bolt and station, cold and at docking temperature."""
-    belief = _belief(joint, calibration, target, spec, np.zeros((len(joint.holes), 2, 0)))
+    belief = _belief(joint, calibration, target, spec, np.zeros((len(spec.stations()), len(joint.holes), 2, 0)))
     move = aim(belief, spec.difference_k)
     return seat(joint, calibration, _moved(target, move, calibration), spec.rim_radius_mm)
 

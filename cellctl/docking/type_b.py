@@ -1,12 +1,12 @@
-"""Type B: every calibration value moved by one sigma, and what that does to the bolts at the docking height.
+"""Type B: every calibration value moved by one sigma, and what that does to the bolts at a station of the way in.
 
-The levers come by themselves: a view's rotation acts at the distance of the part, the jack line's over the travel,
-the table's over the turn.
+The levers come by themselves: a view's rotation acts at the distance of what touches there, the jack line's over the
+travel so far, the table's over the turn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,28 +17,30 @@ from cellctl.docking.joint import Joint, offsets_at
 from cellctl.docking.ripple import rigid_motion, ripple_causes
 from cellctl.kinematics import Array, AxesPosition, T_cell_table, rotation_about
 
-_SEATED = Station(0.0)
-
 
 def causes(
     joint: Joint,
     calibration: Calibration,
     measured_at: AxesPosition,
     target: AxesPosition,
+    station: Station,
     shares: tuple[Array, Array] | None = None,
 ) -> Array:
-    """(n, 2, k) change of each bolt's offset by one sigma of k independent causes, axes at `target`.
+    """(n, 2, k) change of each bolt's offset at `station` by one sigma of k independent causes, the shaft seated at
+    `target`. At every station the causes are the same, column by column.
 
     `shares` (n,) of hole and stud: how much is kept of what each was seen off its place; all of it by default.
     """
-    offsets, jacobian = offsets_at(joint, calibration, target, _SEATED)
+
+    def offsets_of(seen: Joint, belief: Calibration = calibration) -> tuple[Array, Array]:
+        return offsets_at(seen, belief, target, station)
+
+    offsets, jacobian = offsets_of(joint)
     table = T_cell_table(calibration, measured_at)
-    effects = [moved - offsets for moved in _worlds(joint, calibration, measured_at, target)]
+    effects = [moved - offsets for moved in _worlds(joint, calibration, measured_at, offsets_of)]
     effects += list(np.einsum("iak,ck->cia", jacobian, _motions(calibration, measured_at, target)))
     whole = np.ones(len(offsets))
-    waves = ripple_causes(
-        joint, calibration, table, shares or (whole, whole), lambda seen: offsets_at(seen, calibration, target, _SEATED)
-    )
+    waves = ripple_causes(joint, calibration, table, shares or (whole, whole), offsets_of)
     return np.concatenate([np.moveaxis(np.array(effects), 0, -1), waves], axis=2)
 
 
@@ -62,20 +64,22 @@ def _motions(calibration: Calibration, measured_at: AxesPosition, target: AxesPo
     return np.array([shift * axis for shift in shifts for axis in (along_x, along_y)] + [a * about for a in angles])
 
 
-def _worlds(joint: Joint, calibration: Calibration, measured_at: AxesPosition, target: AxesPosition) -> Iterator[Array]:
+def _worlds(
+    joint: Joint, calibration: Calibration, measured_at: AxesPosition, offsets_of: Callable[..., tuple[Array, Array]]
+) -> Iterator[Array]:
     """Offsets (n, 2) at the same commanded target, with one calibration value off by one sigma each."""
     table = T_cell_table(calibration, measured_at)
     for view in ("rotor", "shaft"):
         for error in _view_errors(calibration, view):
             moved = _see_rotor(joint, error) if view == "rotor" else _see_shaft(joint, error, table)
-            yield offsets_at(moved, calibration, target, _SEATED)[0]
+            yield offsets_of(moved)[0]
     for other in _axis_errors(calibration):
         # The shaft was seen where it was; a wrong belief of the axes is undone at the scan and redone at the target.
         undo = np.linalg.inv(T_cell_table(other, measured_at)) @ table
-        yield offsets_at(_move_shaft(joint, undo), other, target, _SEATED)[0]
+        yield offsets_of(_move_shaft(joint, undo), other)[0]
     both = 1.0 + calibration.scanner.sigma_scale
     scaled = _move_shaft(_scale_rotor(joint, calibration, both), _scale_shaft(calibration, table, both))
-    yield offsets_at(scaled, calibration, target, _SEATED)[0]
+    yield offsets_of(scaled)[0]
 
 
 def _view_errors(calibration: Calibration, view: str) -> Iterator[Array]:

@@ -75,15 +75,17 @@ def as_cloud(points: NDArray[np.float32] | NDArray[np.float64]) -> Cloud:
     # along the flat array "missing" may only change from one point to the next, never within one
     changes = missing.reshape(-1)[1:] != missing.reshape(-1)[:-1]
     split = np.count_nonzero(changes) != np.count_nonzero(changes[2::3])
-    if split or (np.abs(flat) > STRAY_MM).any():
+    farthest = max(np.fmax.reduce(flat, axis=None, initial=0.0), -np.fmin.reduce(flat, axis=None, initial=0.0))
+    if split or farthest > STRAY_MM:
         raise Refused("not_finite", "the cloud holds points with infinite, absurd or partly missing coordinates")
-    empty = missing[:, 0]
-    valid = len(flat) - int(np.count_nonzero(empty))
+    valid = len(flat) - np.count_nonzero(missing) // 3
     if valid < MIN_POINTS:
         raise Refused("too_few_points", f"the cloud holds {valid} valid points, at least {MIN_POINTS} are needed")
     some = flat if valid < SAMPLE else flat[:: max(1, len(flat) // (4 * SAMPLE))]
-    _in_millimetres(some[some[:, 0] == some[:, 0]])
-    return Cloud(flat[~empty] if array.ndim == 3 and min(array.shape[:2]) == 1 else array)
+    some = some[some[:, 0] == some[:, 0]]
+    _in_millimetres(some[:: max(1, len(some) // SAMPLE)])
+    single = array.ndim == 3 and min(array.shape[:2]) == 1
+    return Cloud(flat[~missing[:, 0]] if single else array)
 
 
 def _in_millimetres(valid: NDArray[np.float32]) -> None:

@@ -58,6 +58,16 @@ class Columns:
         pixels = None if self.pixels is None else self.pixels[rows]
         return Columns(self.x[rows], self.y[rows], self.z[rows], pixels, self.shape)
 
+    @classmethod
+    def joined(cls, parts: list[Columns], whole: Columns) -> Columns:
+        """Points out of `whole` in one piece again."""
+        if not parts:
+            return whole.take(np.s_[:0])
+        x, y, z = (np.concatenate([getattr(part, axis) for part in parts]) for axis in "xyz")
+        if whole.pixels is None:
+            return cls(x, y, z)
+        return cls(x, y, z, np.concatenate([part.pixels for part in parts if part.pixels is not None]), whole.shape)
+
     def batches(self) -> Iterator[tuple[int, Columns]]:
         """All points in turn, in pieces that stay in the processor's cache, and where each begins: what is worked out
         on the way from a point to a sum or an index need not be kept for a million points."""

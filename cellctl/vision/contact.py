@@ -69,24 +69,24 @@ def lateral_forces(offsets_mm: Array, jacobian: Array, clearance_mm: Array, mode
     spring = model.lateral_n_per_mm * np.diag([1.0, 1.0, arm2])
     ks = model.stud_n_per_mm
     v = np.zeros((len(offsets_mm), 3))
+    flat = jacobian.reshape(-1, 3)
+    squares = np.einsum("iak,ial->ikl", jacobian, jacobian).reshape(-1, 9)
 
     def state(at: Array) -> tuple[Array, Array, Array, Array]:
-        e = offsets_mm + np.einsum("iak,sk->sia", jacobian, at)
+        e = offsets_mm + (at @ flat.T).reshape(offsets_mm.shape)
         r = np.maximum(np.linalg.norm(e, axis=2), 1e-12)
         overlap = np.maximum(r - clearance_mm, 0.0)
-        energy = 0.5 * np.einsum("sk,kl,sl->s", at, spring, at) + 0.5 * ks * np.sum(overlap**2, axis=1)
+        energy = 0.5 * np.sum(at @ spring * at, axis=1) + 0.5 * ks * np.sum(overlap**2, axis=1)
         return np.asarray(energy), e / r[:, :, None], r, overlap
 
     energy, unit, r, overlap = state(v)
     for _ in range(25):
-        rows = np.einsum("sia,iak->sik", unit, jacobian)
-        gradient = v @ spring + ks * np.einsum("si,sik->sk", overlap, rows)
+        rows = unit[:, :, :1] * jacobian[:, 0] + unit[:, :, 1:] * jacobian[:, 1]
+        gradient = v @ spring + ks * (overlap[:, None] @ rows)[:, 0]
         active = (overlap > 0).astype(np.float64)
         bend = active * overlap / r
-        hessian = spring + ks * (
-            np.einsum("si,sik,sil->skl", active - bend, rows, rows)
-            + np.einsum("si,iak,ial->skl", bend, jacobian, jacobian)
-        )
+        straight = np.swapaxes(rows * (active - bend)[:, :, None], 1, 2) @ rows
+        hessian = spring + ks * (straight + (bend @ squares).reshape(-1, 3, 3))
         step = -np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
         length = np.ones(len(v))
         for _ in range(6):

@@ -107,9 +107,9 @@ def _thinned(points: Columns, rng: np.random.Generator) -> _Thinned:
         return _Thinned(points.take(chosen), len(chosen) / len(points), 1.4 * CELLS_PER_SPACING)
     step = int(np.ceil(np.sqrt(len(points) / THINNED_POINTS)))
     height, width = points.shape
-    picked = np.zeros((height, width), dtype=np.bool_)
-    picked[::step, ::step] = True
-    chosen = np.flatnonzero(picked.reshape(-1)[points.pixels])
+    starts = np.searchsorted(points.pixels, width * np.arange(height + 1))
+    rows = np.concatenate([np.arange(starts[row], starts[row + 1]) for row in range(0, height, step)])
+    chosen = rows[points.pixels[rows] % width % step == 0]
     return _Thinned(points.take(chosen), 1.0 / step**2, CELLS_PER_SPACING)
 
 

@@ -70,15 +70,16 @@ def _blocks(local: Columns, sigma_mm: float) -> tuple[Array, NDArray[np.intp], f
     on = np.abs(local.z) < 5.0 * sigma_mm
     share = np.bincount(index, on, size) / np.maximum(np.bincount(index, minlength=size), 1)
     kept = np.flatnonzero(on | (share[index] < ON_SHARE))
-    index, z = index[kept], local.z[kept]
-    z = z[np.lexsort((z, index))].astype(np.float64)
+    index = index[kept]
+    # one sort of a number of which the block is the larger part
+    order = np.sort(index * (4.0 * REACH_MM) + local.z[kept])
     counts = np.bincount(index, minlength=size)
     enough = np.flatnonzero(counts >= max(LEAST_IN_BLOCK, 0.3 * float(np.median(counts[counts > 0]))))
     first, n = (np.cumsum(counts) - counts)[enough], counts[enough]
-    spread = z[first + (3 * n) // 4] - z[first + n // 4]
+    spread = order[first + (3 * n) // 4] - order[first + n // 4]
     smooth = spread < STEP_MM + 2.0 * sigma_mm
     medians = np.full(size, np.nan)
-    medians[enough[smooth]] = z[first + n // 2][smooth]
+    medians[enough[smooth]] = (order[first + n // 2] - enough * (4.0 * REACH_MM))[smooth]
     return (
         medians.reshape(shape),
         counts.reshape(shape),

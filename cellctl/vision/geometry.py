@@ -71,6 +71,16 @@ def median(values: Array, axis: int = -1) -> Array:
     return np.asarray(np.partition(values, middle, axis=axis).take(middle, axis=axis))
 
 
+def row_medians(values: Array) -> Array:
+    """Median (k,) over the finite values (k, n) of each row, NaN where there are none."""
+    ordered = np.sort(values, axis=1)  # NaN come last
+    counts = np.isfinite(values).sum(axis=1)
+    rows = np.arange(len(values))
+    return np.asarray(
+        0.5 * (ordered[rows, np.maximum(counts - 1, 0) // 2] + ordered[rows, counts // 2 % values.shape[1]])
+    )
+
+
 def tangents(normal: Array, reference: Array | None = None) -> Array:
     """Two unit vectors (2, 3) that make a right-handed triad with `normal`: t0 x t1 = normal.
 
@@ -106,39 +116,3 @@ class PlaneFrame:
 def wrap_rad(angle: Array) -> Array:
     """Angles in (-pi, pi]."""
     return np.asarray(np.pi - np.mod(np.pi - angle, 2.0 * np.pi))
-
-
-def viewpoint(grid: Points, *, samples: int = 4000) -> Array | None:
-    """Pinhole (3,) of an organised cloud (H, W, 3), in the cloud's own frame, or None where there is none.
-
-    Noise along the ray leaves the projection exact, so the camera matrix that carries points to their pixels follows
-    from the cloud itself (direct linear transform); its null space is the pinhole. The answer is only given when
-    pixels are met within 0.05 and the cloud has enough depth to fix it.
-    """
-    valid = np.flatnonzero(np.isfinite(grid[..., 2]))
-    if len(valid) < 200:
-        return None
-    chosen = valid[:: max(1, len(valid) // samples)]
-    rows, columns = np.divmod(chosen, grid.shape[1])
-    points = grid.reshape(-1, 3)[chosen].astype(np.float64)
-    centre, scale = points.mean(axis=0), float(points.std()) or 1.0
-    pixels = np.stack([columns, rows], axis=1).astype(np.float64)
-    middle, spread = pixels.mean(axis=0), float(pixels.std()) or 1.0
-    x = np.column_stack([(points - centre) / scale, np.ones(len(points))])
-    u = (pixels - middle) / spread
-    zero = np.zeros_like(x)
-    upper = np.hstack([x, zero, -u[:, :1] * x])
-    lower = np.hstack([zero, x, -u[:, 1:] * x])
-    matrix = np.vstack([upper, lower])
-    values, vectors = np.linalg.eigh(matrix.T @ matrix)
-    if values[1] < 1e-9 * values[-1]:  # all in one plane: the camera is not determined
-        return None
-    camera = vectors[:, 0].reshape(3, 4)
-    projected = x @ camera.T
-    misses = np.abs(projected[:, :2] / projected[:, 2:] - u) * spread
-    if not np.median(misses) < 0.05:
-        return None
-    null = np.linalg.svd(camera)[2][3]
-    if abs(null[3]) < 1e-9 * np.abs(null).max():
-        return None
-    return np.asarray(null[:3] / null[3] * scale + centre)

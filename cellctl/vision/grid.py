@@ -26,12 +26,27 @@ class Raster:
 
     def covered(self, gap: int = 2) -> Bits:
         """(U, V) which cells hold a point; gaps between covered ones that hold no square of `gap` cells count too."""
-        square = np.ones((gap, gap), dtype=np.bool_)
-        return np.asarray(ndimage.binary_closing(np.pad(self.counts > 0, gap), square)[gap:-gap, gap:-gap])
+        # closing by a square, a side at a time: wider by the cells of a gap, and narrower again
+        there = self.counts > 0
+        for axis in (0, 1):
+            there = _any_of(there, gap, axis)
+        empty = ~there
+        for axis in (0, 1):
+            empty = _any_of(empty, gap, axis)
+        return np.asarray(~empty[gap - 1 : 1 - gap or None, gap - 1 : 1 - gap or None])
 
     def position(self, cells: Array) -> Array:
         """Plane coordinates (n, 2) of cell centres (n, 2)."""
         return np.asarray(self.low + (cells + 0.5) * self.cell_mm)
+
+
+def _any_of(bits: Bits, count: int, axis: int) -> Bits:
+    """Whether any of `count` cells in a row is set, for every such row along one axis that meets the raster."""
+    bits = np.moveaxis(bits, axis, 0)
+    result = np.zeros((len(bits) + count - 1, bits.shape[1]), dtype=np.bool_)
+    for shift in range(count):
+        result[shift : shift + len(bits)] |= bits
+    return np.moveaxis(result, 0, axis)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +142,7 @@ def _quality(spectrum: NDArray[np.complex64], shape: list[int], radius: float) -
         kernels.append(fft.irfft2(spectrum * np.conj(fft.rfft2(kernel)), shape))
     quality = np.clip(1.0 - kernels[0], 0.0, 1.0) ** 2 * np.clip(kernels[1], 0.0, 1.0)
     # equal scores inside one void would all be peaks: a hair of smoothing leaves one
-    return np.asarray(ndimage.gaussian_filter(quality, 0.25 * radius, mode="nearest"))
+    return np.asarray(ndimage.gaussian_filter(quality, 0.25 * radius, mode="nearest", truncate=2.0))
 
 
 def _best_of_overlapping(voids: list[Void]) -> list[Void]:

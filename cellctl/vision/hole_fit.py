@@ -27,7 +27,7 @@ from cellctl.vision.hole_model import (
     label,
     residuals,
 )
-from cellctl.vision.plane import TUKEY
+from cellctl.vision.plane import LONGER, TUKEY
 
 TILT_PRIOR_RAD = np.radians(0.02)  # machined holes stand square to their face
 SIZE_PRIOR_MM = 0.03  # holes drawn alike differ by what tools and tolerances allow
@@ -36,8 +36,9 @@ PRIOR_DEGREES = 2.0  # what is known beforehand weighs as much as two measured v
 EM_ROUNDS = 40
 SLOPE_PRIOR = 1e-3  # long-wave ripple of the scanner tilts the neighbourhood of one hole
 LIFT_PRIOR_MM = 0.01
-THINNED = 300  # points of a hole that bring its fit near
-STILL_MM, NEARLY_STILL_MM = 3e-4, 1e-3
+THINNED, LEAST_THINNED = 150, 8000  # points of a hole, and of all of them at least, that bring the fit near
+STILL_MM, NEARLY_STILL_MM = 2e-3, 5e-3  # what a lengthened step leaves is a twentieth of it
+SCALED = 12_000  # points that tell a scale
 BLOCK = 1024
 LEAST_COSINE = 0.1  # nearer to grazing, what the model leaves out outweighs noise
 
@@ -84,23 +85,24 @@ def fit(samples: Samples, start: Array, sigma_mm: float) -> HoleFits:
     """
     scale = np.array([sigma_mm, 3.0 * sigma_mm, 3.0 * sigma_mm])
     prior = np.tile(priors(samples.chamfered), (len(start), 1))
-    step = len(samples.points) // (THINNED * max(len(start), 1))
+    step = len(samples.points) // max(THINNED * len(start), LEAST_THINNED)
     rough = samples.thinned(step) if step > 1 else samples
-    state = _rounds(rough, start, start, scale, prior, wide=3.0, rounds=4)
+    state = _rounds(rough, start, start, scale, prior, wide=3.0, rounds=3)
     state = _rounds(rough, state.parameters, start, state.scale, prior, rounds=8, still_mm=NEARLY_STILL_MM)
     power = slant_power(state.labels, state.value, state.weights, facing(rough, state.parameters, state.labels))
     scale = state.scale / np.maximum(_middles(rough, state), LEAST_COSINE) ** power
     state = _rounds(samples, state.parameters, start, scale, prior, power=power, rounds=2)
     factor = inflation(samples, state.value / state.amplitude, state.weights, state.labels, state.scale)
     mean, prior = _pooled(state, start, priors(samples.chamfered), factor)
-    state = _rounds(samples, state.parameters, mean, state.scale, prior, power=power, rounds=3)
+    # weights that take shared noise for white are too large by the factor, and so the priors' share has to be
+    state = _rounds(samples, state.parameters, mean, state.scale, prior * factor, power=power, rounds=3)
     kept = state.weights > 0.0
     count = len(start)
     counts = np.bincount(samples.owner[kept] * 3 + state.labels[kept], minlength=3 * count).reshape(count, 3)
     inner = kept & (state.labels != FACE)
     ends = zip(samples.starts[:-1], samples.starts[1:], strict=True)
     residual = [robust_sigma(state.value[a:b][inner[a:b]]) if inner[a:b].any() else np.nan for a, b in ends]
-    covariances = np.asarray(np.linalg.inv(state.normal + _diagonal(prior)) * factor)
+    covariances = np.asarray(np.linalg.inv(state.normal / factor + _diagonal(prior)))
     return HoleFits(state.parameters, covariances, state.scale, counts, np.array(residual), factor, mean, prior, power)
 
 
@@ -153,7 +155,8 @@ def _rounds(
         weights = _weights(value, labels, scale, amplitude, wide=wide)
         normal, gradient = normal_equations(samples.starts, design, weights, value)
         pull = gradient + prior * (parameters - mean)
-        change = -np.linalg.solve(normal + _diagonal(prior), pull[:, :, None])[:, :, 0]
+        longer = LONGER if wide == 1.0 else 1.0
+        change = -longer * np.linalg.solve(normal + _diagonal(prior), pull[:, :, None])[:, :, 0]
         change[:, :4] = np.clip(change[:, :4], -0.3, 0.3)
         parameters += change
         if not samples.chamfered:
@@ -237,7 +240,8 @@ def _weights(value: Array, labels: NDArray[np.int8], scale: Array, amplitude: Ar
 
 def _scales(value: Array, labels: NDArray[np.int8], scale: Array) -> Array:
     """Robust scale per surface, pooled over the holes; the old one where a surface shows next to no points."""
-    result = scale.copy()
+    result, some = scale.copy(), np.s_[:: max(1, len(value) // SCALED)]
+    value, labels = value[some], labels[some]
     for kind in (FACE, CONE, CYLINDER):
         part = value[(labels == kind) & (np.abs(value) < 3.0 * TUKEY * scale[kind])]
         if len(part) >= 30:
@@ -254,8 +258,8 @@ def inflation(
     All arrays are (m,); `index` (m,) names the samples they belong to, all of them where it is None.
     """
     chosen = np.arange(len(samples.points)) if index is None else index
-    angle = np.arctan2(samples.points[chosen, 1], samples.points[chosen, 0])
-    sector = np.floor((angle + np.pi) / (2.0 * np.pi) * 7.999).astype(np.intp)
+    x, y = samples.points[chosen, :2].T
+    sector = (x > 0.0) + 2 * (y > 0.0) + 4 * (np.abs(x) > np.abs(y))  # an eighth of the way around
     patch = (samples.owner[chosen] * 3 + np.maximum(labels, 0)) * 8 + sector
     used = weights > 0.0
     z = value[used] / scale[labels[used]]

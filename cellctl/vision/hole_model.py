@@ -49,6 +49,10 @@ class Samples:
         u, v = (points[:, axis] - points[:, 2] * change for axis, change in ((0, du), (1, dv)))
         return cls(points, starts, owner, np.stack([u, v, du, dv]), slope, depth_mm, chamfered)
 
+    def each(self, values: Array) -> Array:
+        """Values (K,) or (q, K) of the holes for each of their points."""
+        return np.repeat(values, np.diff(self.starts), axis=-1)
+
     def take(self, rows: NDArray[np.intp]) -> Samples:
         """Some of the points, by ascending index."""
         counts = np.bincount(self.owner[rows], minlength=len(self.starts) - 1)
@@ -67,18 +71,16 @@ class Samples:
 def label(samples: Samples, parameters: Array, sigma_mm: Array) -> NDArray[np.int8]:
     """Which surface each point lies on. With a pinhole: the one its ray meets, so noise cannot change the label."""
     bottom = -(parameters[:, CHAMFER] - parameters[:, WALL]) / samples.slope
-    owner = samples.owner
     if samples.crossing is None:
-        return _label_nearest(samples, parameters[owner], bottom[owner], sigma_mm)
+        return _label_nearest(samples, samples.each(parameters.T), samples.each(bottom), sigma_mm)
     u, v, du, dv = samples.crossing
-    cu, cv = parameters[owner, CU], parameters[owner, CV]
-    mouth = np.square(u - cu) + np.square(v - cv)
+    p = parameters.T
     # the ray at the height where the wall begins, against the axis there
-    at_u, at_v = cu + (parameters[:, TILT_U] * bottom)[owner], cv + (parameters[:, TILT_V] * bottom)[owner]
-    low = bottom[owner]
-    neck = np.square(u + low * du - at_u) + np.square(v + low * dv - at_v)
-    result = np.where(neck >= np.square(parameters[:, WALL])[owner], np.int8(CONE), np.int8(CYLINDER))
-    result[mouth >= np.square(parameters[:, CHAMFER])[owner]] = FACE
+    at = [p[CU], p[CV], p[CU] + p[TILT_U] * bottom, p[CV] + p[TILT_V] * bottom, bottom]
+    cu, cv, at_u, at_v, low, mouth, neck = samples.each(np.stack([*at, np.square(p[CHAMFER]), np.square(p[WALL])]))
+    on_cone = np.square(u + low * du - at_u) + np.square(v + low * dv - at_v) >= neck
+    result = np.where(on_cone, np.int8(CONE), np.int8(CYLINDER))
+    result[np.square(u - cu) + np.square(v - cv) >= mouth] = FACE
     x, y, deep = samples.points.T
     # a ray leaves the hole where it meets the wall: what lies on the side it came in by is a stray
     inward = (x - cu) * du + (y - cv) * dv > 0.0
@@ -91,34 +93,33 @@ def _label_nearest(samples: Samples, p: Array, bottom: Array, sigma_mm: Array) -
     rho, height = _polar(samples.points, p)
     guard = 2.5 * sigma_mm
     result = np.full(len(rho), NONE, dtype=np.int8)
-    result[(rho > p[:, CHAMFER] + guard[FACE]) & (np.abs(height) < 1.0)] = FACE
-    on_cone = (height < -guard[FACE]) & (height > bottom + guard[CONE]) & (rho > p[:, WALL] - 1.0)
+    result[(rho > p[CHAMFER] + guard[FACE]) & (np.abs(height) < 1.0)] = FACE
+    on_cone = (height < -guard[FACE]) & (height > bottom + guard[CONE]) & (rho > p[WALL] - 1.0)
     if samples.chamfered:
-        result[on_cone & (rho < p[:, CHAMFER] + guard[CONE])] = CONE
-    wall = (height < bottom - guard[CYLINDER]) & (height > -samples.depth_mm) & (np.abs(rho - p[:, WALL]) < 1.0)
+        result[on_cone & (rho < p[CHAMFER] + guard[CONE])] = CONE
+    wall = (height < bottom - guard[CYLINDER]) & (height > -samples.depth_mm) & (np.abs(rho - p[WALL]) < 1.0)
     result[wall & (height < -2.0 * guard[FACE])] = CYLINDER
     return result
 
 
 def _polar(points: Array, p: Array) -> tuple[Array, Array]:
-    """Distance from the hole's axis and height above the local face, for each point with its parameters (M, 9)."""
+    """Distance from the hole's axis and height above the local face, for each point with its parameters (9, M)."""
     u, v, w = points.T
-    rho = np.hypot(u - p[:, CU] - p[:, TILT_U] * w, v - p[:, CV] - p[:, TILT_V] * w)
-    return np.asarray(rho), np.asarray(w - p[:, H] - p[:, A] * u - p[:, B] * v)
+    rho = np.hypot(u - p[CU] - p[TILT_U] * w, v - p[CV] - p[TILT_V] * w)
+    return np.asarray(rho), np.asarray(w - p[H] - p[A] * u - p[B] * v)
 
 
 def residuals(samples: Samples, parameters: Array, labels: NDArray[np.int8]) -> tuple[Array, Array]:
     """Orthogonal distances (M,) to the labelled surfaces and their derivatives (9, M); zero where unlabelled."""
-    owner = samples.owner
     u, v, w = samples.points.T
-    tilt_u, tilt_v = parameters[owner, TILT_U], parameters[owner, TILT_V]
-    qu, qv = u - parameters[owner, CU] - tilt_u * w, v - parameters[owner, CV] - tilt_v * w
+    p = samples.each(parameters.T)
+    qu, qv = u - p[CU] - p[TILT_U] * w, v - p[CV] - p[TILT_V] * w
     rho = np.maximum(np.sqrt(qu * qu + qv * qv), 1e-9)
-    height = w - parameters[owner, H] - parameters[owner, A] * u - parameters[owner, B] * v
+    height = w - p[H] - p[A] * u - p[B] * v
     cosine = 1.0 / np.sqrt(1.0 + samples.slope**2)
     face, cone, wall = (labels == kind for kind in (FACE, CONE, CYLINDER))
     lateral, level = np.where(cone, cosine, 1.0 * wall), np.where(cone, samples.slope * cosine, -1.0 * face)
-    limit = np.where(cone, parameters[owner, CHAMFER], parameters[owner, WALL])
+    limit = np.where(cone, p[CHAMFER], p[WALL])
     value = lateral * (rho - limit) - level * height
     design = np.empty((SIZE, len(u)))
     lateral /= rho
@@ -140,7 +141,8 @@ def facing(samples: Samples, parameters: Array, labels: NDArray[np.int8]) -> Arr
         return np.ones(len(samples.points))
     _, _, du, dv = samples.crossing
     fall = 1.0 / np.sqrt(1.0 + du * du + dv * dv)
-    q = samples.points[:, :2] - parameters[samples.owner][:, [CU, CV]]
-    out = (q[:, 0] * du + q[:, 1] * dv) * fall / np.maximum(np.hypot(q[:, 0], q[:, 1]), 1e-9)
+    (x, y), centre = samples.points[:, :2].T, samples.each(parameters[:, [CU, CV]].T)
+    qu, qv = x - centre[0], y - centre[1]
+    out = (qu * du + qv * dv) * fall / np.maximum(np.sqrt(qu * qu + qv * qv), 1e-9)
     cone = (out - samples.slope * fall) / np.sqrt(1.0 + samples.slope**2)
     return np.asarray(np.abs(np.where(labels == FACE, fall, np.where(labels == CONE, cone, out))))

@@ -36,9 +36,9 @@ def refine(samples: Samples, fits: HoleFits, noise: SharedNoise, pixels: Array, 
     amplitude = amplitude_mm(fits, labels, facing(samples, parameters, labels))
     white = SharedNoise(noise.length_px, min(noise.share, 1.0 - LEAST_WHITE))
     stencil = Stencil.of(pixels.astype(np.intp), samples.owner, white.at)
+    value, design = residuals(samples, parameters, labels)
+    free = stencil.apply(np.concatenate([design, value[None]]) / amplitude)
     for _ in range(ROUNDS):
-        value, design = residuals(samples, parameters, labels)
-        free = stencil.apply(np.concatenate([design, value[None]]) / amplitude)
         spread = max(robust_sigma(free[SIZE]), 1e-3)
         ratio = free[SIZE] / (TUKEY * spread)
         # quieter than the model of the noise does not count for more: what all neighbours share is as large as before
@@ -46,7 +46,9 @@ def refine(samples: Samples, fits: HoleFits, noise: SharedNoise, pixels: Array, 
         normal, gradient = normal_equations(samples.starts, free[:SIZE], weights, free[SIZE])
         inverse = np.linalg.inv(normal + fits.prior[:, :, None] * np.eye(SIZE))
         pull = gradient + fits.prior * (parameters - fits.prior_mean)
-        parameters -= np.clip(np.einsum("kij,kj->ki", inverse, pull), -0.1, 0.1)
+        step = -np.clip(np.einsum("kij,kj->ki", inverse, pull), -0.1, 0.1)
+        parameters += step
+        free[SIZE] += np.einsum("pm,pm->m", free[:SIZE], samples.each(step.T))  # over microns the surfaces are flat
         if not samples.chamfered:
             parameters[:, CHAMFER] = parameters[:, WALL]
     influence = stencil.back(free[:SIZE] * weights)
@@ -76,7 +78,7 @@ def _sandwich(
 def _near(samples: Samples, fits: HoleFits, labels: NDArray[np.int8], ring_mm: float) -> NDArray[np.intp]:
     """Points that are no outliers and lie in the hole or in the ring of face about it, by index."""
     value, _ = residuals(samples, fits.parameters, labels)
-    p = fits.parameters[samples.owner]
-    rho = np.hypot(samples.points[:, 0] - p[:, CU], samples.points[:, 1] - p[:, CV])
+    cu, cv, mouth = samples.each(fits.parameters[:, [CU, CV, CHAMFER]].T)
+    square = np.square(samples.points[:, 0] - cu) + np.square(samples.points[:, 1] - cv)
     fits_in = (labels >= 0) & (np.abs(value) < TUKEY * fits.sigma_mm[labels])
-    return np.flatnonzero(fits_in & ((labels != FACE) | (rho < p[:, CHAMFER] + ring_mm)))
+    return np.flatnonzero(fits_in & ((labels != FACE) | (square < np.square(mouth + ring_mm))))

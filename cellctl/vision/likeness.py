@@ -58,15 +58,12 @@ def _turn(pose: PatternPose) -> Array:
 
 def _distinct(places: Array, within_mm: float) -> tuple[Array, NDArray[np.intp]]:
     """Places (k, 2) of which none lies within a distance of another, and the one of them that stands for each (n,)."""
-    chosen: list[Array] = []
-    which = []
-    for place in places:
-        apart = [float(np.hypot(*(place - other))) for other in chosen]
-        if not apart or min(apart) > within_mm:
-            apart.append(0.0)
-            chosen.append(place)
-        which.append(int(np.argmin(apart)))
-    return np.stack(chosen), np.array(which, dtype=np.intp)
+    apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+    chosen: list[int] = []
+    for k, near in enumerate(apart <= within_mm):
+        if not near[chosen].any():
+            chosen.append(k)
+    return places[chosen], apart[:, chosen].argmin(axis=1)
 
 
 def _filled(outlines: list[Outline], inside: NDArray[np.intp], sizes: Array, spacing_mm: float) -> list[Outline]:

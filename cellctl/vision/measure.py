@@ -16,9 +16,10 @@ from cellctl.vision import outliers
 from cellctl.vision.cloud import as_cloud
 from cellctl.vision.columns import Columns
 from cellctl.vision.contradictions import bare_places, check_absent, check_hole_sizes, check_outlines
+from cellctl.vision.eye import viewpoint
 from cellctl.vision.face import Face, before_the_eye, find_face
 from cellctl.vision.flatness import inside_edges
-from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit, viewpoint
+from cellctl.vision.geometry import Array, PlaneFrame, Points, pose, transform, unit
 from cellctl.vision.holes import Hole, Sight, measure_holes, reaches
 from cellctl.vision.index import sizes_seen, turned_by_sizes
 from cellctl.vision.part import FaceFit, FeatureFit, Part, PartMeasurement, Refused, pivot
@@ -67,8 +68,8 @@ def measure_part(
     grid: Points = cloud.points if cloud.organised else regridded(cloud.points, rng)
     if gates.outlier_removal != "none":
         grid = outliers.without_outliers(grid, sides=gates.outlier_removal)  # eq. 2-3
-    pinhole = viewpoint(grid) if grid.ndim == 3 else None
     scan = Columns.of(grid)
+    pinhole = viewpoint(scan)
     eye = np.zeros(3) if pinhole is None and T_frame_scanner is not None else pinhole
     reference = np.array([1.0, 0.0, 0.0]) if T_frame_scanner is None else T_frame_scanner[0, :3]
     found = find_face(scan, part, eye, reference, rng)
@@ -95,16 +96,18 @@ def measure_part(
 
 @dataclass(frozen=True, slots=True)
 class _Places:
-    """Which points lie where: rows on the face's own area near its plane, rows around holes and the hole of each.
+    """Points in the part's approximate frame: on the face's own area near its plane, around holes with the hole of
+    each (`owner`), and a sample of those well inside the face's own area, at any height."""
 
-    `area` are rows well inside the face's own area, at any height, a sample.
-    """
-
-    on_face: NDArray[np.intp]
-    around: NDArray[np.intp]
+    on_face: Columns
+    around: Columns
     owner: NDArray[np.intp]
-    area: NDArray[np.intp]
+    area: Columns
     coverage: float
+
+    def around_in(self, found: PlaneFrame, frame: PlaneFrame) -> Columns:
+        """The points around holes in the coordinates of `frame`; those at hand are in the frame that was found."""
+        return self.around.into(PlaneFrame(found.into(frame.origin), frame.axes @ found.axes.T))
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,20 +124,19 @@ class _Sighting:
 def _numbered(scan: Columns, found: Face, part: Part) -> Face:
     """The face with its holes numbered by their sizes, where their places leave the number open."""
     places = _place(scan, found, part)
-    near = scan.take(places.around).into(found.frame)
-    return turned_by_sizes(found, sizes_seen(near, places.owner, found, part), part)
+    return turned_by_sizes(found, sizes_seen(places.around, places.owner, found, part), part)
 
 
 def _sight(scan: Columns, found: Face, part: Part, pinhole: Array | None, eye: Array) -> _Sighting:
     """The face refitted, then every feature on it."""
     places = _place(scan, found, part)
-    face = _refit_face(scan, places, found, part, eye)
+    face = _refit_face(places, found, part)
     frame = PlaneFrame.on(_onto(face, found.frame.origin), face.normal, found.frame.axes[0])
     if part.feature == "stud":
         features = measure_studs(scan, face, part, pose(frame.axes.T, frame.origin), viewpoint=eye)
         return _Sighting(places, face, frame, features, np.full(part.count, np.nan))
-    near = scan.take(places.around).into(frame)
-    features = _holes(scan, near, places, face, frame, found, part, pinhole)
+    near = places.around_in(found.frame, frame)
+    features = _holes(near, places, face, frame, found, part, pinhole)
     walls = wall_radii(near, places.owner, centres_on(features, frame, part), part)
     return _Sighting(places, face, frame, features, walls)
 
@@ -145,25 +147,25 @@ def _place(scan: Columns, found: Face, part: Part) -> _Places:
     zones = Zones.of(part, found.radii_mm, reach, found.spacing_mm)
     codes = zones.codes.reshape(-1)
     near, level = 8.0 * found.plane.sigma_mm + (part.flatness_limit_mm or 0.0), 5.0 * found.plane.sigma_mm + 0.01
-    on_face, around, owner, area, seen = [], [], [], [], np.zeros(len(codes), dtype=np.intp)
+    on_face, around, owner, area, seen = [], [], [], [], np.zeros(len(codes), dtype=np.bool_)
     step = max(1, len(scan) // AREA_SAMPLE)
-    for begin, piece in scan.batches():
+    for _, piece in scan.batches():
         local = piece.into(found.frame)
         cells = zones.cells(local.x, local.y)
         code, height = codes.take(cells), np.abs(local.z)
         rows = np.flatnonzero((code >= FACE) & (height < near))
-        on_face.append(rows + begin)
-        some = np.flatnonzero(code[::step] >= FACE) * step
-        area.append(some[inside_edges(local.take(some), part, found.radii_mm)] + begin)
-        seen += np.bincount(cells[rows[height[rows] < level]], minlength=len(seen))
+        on_face.append(local.take(rows))
+        some = local.take(np.flatnonzero(code[::step] >= FACE) * step)
+        area.append(some.take(inside_edges(some, part, found.radii_mm)))
+        seen[cells[rows[height[rows] < level]]] = True
         if part.feature == "hole":
             code &= FEATURE
-            rows = np.flatnonzero(code)
-            around.append(rows + begin)
+            rows = np.flatnonzero(code != 0)
+            around.append(local.take(rows))
             owner.append(code[rows].astype(np.intp) - 1)
-    none = np.zeros(0, dtype=np.intp)
-    around_rows, owners = np.concatenate(around or [none]), np.concatenate(owner or [none])
-    return _Places(np.concatenate(on_face), around_rows, owners, np.concatenate(area), zones.coverage(seen))
+    whole = [Columns.joined(parts, scan) for parts in (on_face, around, area)]
+    owners = np.concatenate(owner) if owner else np.zeros(0, dtype=np.intp)
+    return _Places(whole[0], whole[1], owners, whole[2], zones.coverage(seen))
 
 
 def _likely_eye(found: Face) -> Array:
@@ -178,9 +180,9 @@ def _onto(face: FaceFit, point: Array) -> Array:
     return np.asarray(point - ((point - face.point_mm) @ face.normal) * face.normal)
 
 
-def _refit_face(scan: Columns, places: _Places, found: Face, part: Part, eye: Array) -> FaceFit:
+def _refit_face(places: _Places, found: Face, part: Part) -> FaceFit:
     """The face plane from the face alone: inside its rims and clear of the features, whose edges would pull it."""
-    face = fit_face(scan.take(places.on_face), found.plane, eye, scan.take(places.area))
+    face = fit_face(places.on_face, found.frame, found.plane.sigma_mm, places.area)
     if part.flatness_limit_mm is not None and face.flatness_mm > part.flatness_limit_mm + SCANNER_FLATNESS_MM:
         raise Refused(
             "face_warped",
@@ -190,13 +192,13 @@ def _refit_face(scan: Columns, places: _Places, found: Face, part: Part, eye: Ar
 
 
 def _holes(
-    scan: Columns, near: Columns, places: _Places, face: FaceFit, frame: PlaneFrame, found: Face, part: Part,
-    pinhole: Array | None,
+    near: Columns, places: _Places, face: FaceFit, frame: PlaneFrame, found: Face, part: Part, pinhole: Array | None,
 ) -> tuple[FeatureFit, ...]:  # fmt: skip
     """Every hole of the part, in the cloud's frame; `near` are the points around them in the frame of the face."""
     sight = Sight(found.spacing_mm, face.sigma_mm)
     if pinhole is not None:
-        noise = shared_noise(scan, places.on_face, face)
+        height = float(face.normal @ (face.point_mm - found.frame.origin))
+        noise = shared_noise(places.on_face, found.frame.axes @ face.normal, height, face.sigma_mm)
         sight = Sight(found.spacing_mm, face.sigma_mm, frame.into(pinhole), noise)
     holes = measure_holes(near, places.owner, part, found.radii_mm, sight)
     return tuple(_feature(index, hole, frame, face) for index, hole in enumerate(holes))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cellctl.vision.geometry import Array, rotate, wrap_rad
+from cellctl.vision.geometry import Array, rotate, row_medians, wrap_rad
 from cellctl.vision.part import Part, Refused
 
 # score by which the best clocking must beat every other one; one matched feature is worth 1
@@ -105,23 +107,23 @@ def find_patterns(
     The centre by voting of pairs of candidates on the known circle, the clocking by voting of all pairings with the
     nominal angles.
     """
+    step = 2.0 * np.pi / symmetry(part)
     poses: list[PatternPose] = []
     for centre in _vote_centres(positions, weights, 0.5 * part.circle_diameter_mm, tolerance_mm):
-        poses += _vote_clockings(part, positions - centre, radii, weights, tolerance_mm, centre)
+        poses += _vote_clockings(part, positions - centre, radii, weights, tolerance_mm, centre, step, within)
     poses.sort(key=lambda pose: -pose.score)
+    near = 2.0 * tolerance_mm, 8.0 * tolerance_mm / part.circle_diameter_mm
     kept: list[PatternPose] = []
     for pose in poses:
-        if pose.score > poses[0].score - within and not any(_same(part, pose, other, tolerance_mm) for other in kept):
+        if pose.score > poses[0].score - within and not any(_same(pose, other, step, *near) for other in kept):
             kept.append(pose)
     return kept
 
 
-def _same(part: Part, pose: PatternPose, other: PatternPose, tolerance_mm: float) -> bool:
-    """Whether two poses are one within the tolerance, or by the pattern's own symmetry."""
-    step = 2.0 * np.pi / symmetry(part)
-    turned = float(np.mod(pose.clocking_rad - other.clocking_rad + 0.5 * step, step)) - 0.5 * step
-    moved = float(np.hypot(*(pose.centre_mm - other.centre_mm)))
-    return moved < 2.0 * tolerance_mm and abs(turned) * part.circle_diameter_mm < 8.0 * tolerance_mm
+def _same(pose: PatternPose, other: PatternPose, step_rad: float, moved_mm: float, turned_rad: float) -> bool:
+    """Whether two poses are one within a motion and a turn, or by the pattern's own symmetry (`step_rad`)."""
+    turned = abs(math.remainder(pose.clocking_rad - other.clocking_rad, step_rad))
+    return turned < turned_rad and math.dist(pose.centre_mm, other.centre_mm) < moved_mm
 
 
 def _vote_centres(positions: Array, weights: Array, radius: float, tolerance_mm: float) -> list[Array]:
@@ -175,30 +177,30 @@ def _on_circle(centre: Array, positions: Array, radius: float, tolerance_mm: flo
 
 
 def _vote_clockings(
-    part: Part, offset: Array, radii: Array, weights: Array, tolerance_mm: float, centre: Array
-) -> list[PatternPose]:
-    """Poses about one centre that meet at least three features, best first, each the best within its own tolerance."""
+    part: Part, offset: Array, radii: Array, weights: Array, tolerance_mm: float, centre: Array, step: float,
+    within: float,
+) -> list[PatternPose]:  # fmt: skip
+    """Poses about one centre that meet at least three features and score up to `within` less than the best one, each
+    the best within its own tolerance. Clockings that differ by `step` are one: the one nearest to zero stands for all.
+    """
     radius = 0.5 * part.circle_diameter_mm
     on = np.abs(np.hypot(*offset.T) - radius) < 2.0 * tolerance_mm
     if np.count_nonzero(on) < 3:
         return []
-    angles, sizes, value = np.arctan2(offset[on, 1], offset[on, 0]), radii[on], weights[on]
-    targets = np.radians(part.angles_deg)
-    tolerance = 2.0 * tolerance_mm / radius
-    # clockings that differ by the pattern's own symmetry are one: the one nearest to zero stands for all
-    step = 2.0 * np.pi / symmetry(part)
-    differences = angles[:, None] - targets[None]
-    bins = np.unique(np.round(np.mod(differences, step) / (0.5 * tolerance)).astype(np.int64))
-    scored = [_score(part, theta, angles, sizes, value, targets, tolerance) for theta in bins * 0.5 * tolerance]
-    scored.sort(key=lambda item: -item.score)
+    angles, tolerance = np.arctan2(offset[on, 1], offset[on, 0]), 2.0 * tolerance_mm / radius
+    differences = np.mod(angles[:, None] - np.radians(part.angles_deg), step)
+    bins = np.unique(np.round(differences / (0.5 * tolerance)).astype(np.int64))
+    clockings, matched, scores = _scores(part, bins * 0.5 * tolerance, angles, radii[on], weights[on], tolerance)
     kept: list[PatternPose] = []
-    for item in scored:
-        apart = [float(np.mod(item.clocking_rad - other.clocking_rad, step)) for other in kept]
-        if item.matched >= 3 and all(min(turn, step - turn) > 2.0 * tolerance for turn in apart):
-            kept.append(item)
+    for k in np.argsort(-scores, kind="stable").tolist():
+        if scores[k] <= scores.max() - within:
+            break
+        turn = float(clockings[k])
+        if all(abs(math.remainder(turn - other.clocking_rad, step)) > 2.0 * tolerance for other in kept):
+            kept.append(PatternPose(centre, turn, int(matched[k]), float(scores[k])))
     poses = []
     for item in kept:
-        clocking = float(np.mod(item.clocking_rad + 0.5 * step, step) - 0.5 * step)
+        clocking = math.remainder(item.clocking_rad, step)
         shift, turn = _rigid(nominal(part), offset[on], clocking, tolerance * radius)
         poses.append(PatternPose(centre + shift, clocking + turn, item.matched, item.score))
     return poses
@@ -222,26 +224,30 @@ def _rigid(model: Array, offset: Array, clocking: float, tolerance_mm: float) ->
     return answer[:2], float(answer[2])
 
 
-def _score(
-    part: Part, theta: float, angles: Array, sizes: Array, value: Array, targets: Array, tolerance: float
-) -> PatternPose:
-    """How well the clocking `theta` explains the candidates: one a matched feature, less where sizes disagree."""
-    gap = wrap_rad(angles[:, None] - targets[None] - theta)
-    nearest = np.abs(gap).argmin(axis=0)
-    miss = gap[nearest, np.arange(len(targets))]
+def _scores(
+    part: Part, thetas: Array, angles: Array, sizes: Array, value: Array, tolerance: float
+) -> tuple[Array, NDArray[np.intp], Array]:
+    """Trial clockings (t,) that meet at least three candidates, each moved to where it leads; features matched (t,);
+    scores (t,): one a matched feature, less where sizes disagree."""
+    order = np.argsort(angles, kind="stable")
+    around = np.concatenate([order[-1:], order, order[:1]])
+    ring = angles[around] + 2.0 * np.pi * np.array([-1.0, *np.zeros(len(order)), 1.0])
+    wanted = wrap_rad(thetas[:, None] + np.radians(part.angles_deg))
+    nearest = np.searchsorted(0.5 * (ring[1:] + ring[:-1]), wanted)
+    miss, candidate = ring[nearest] - wanted, around[nearest]
     matched = np.abs(miss) < tolerance
-    if not matched.any():
-        return PatternPose(np.zeros(2), theta, 0, 0.0)
-    shift = float(np.average(miss[matched], weights=value[nearest[matched]]))
-    miss = miss - shift  # a trial clocking stands for the one it leads to
-    worth = np.minimum(value[nearest[matched]] / np.quantile(value, 0.75), 1.0)
-    score = float((worth * (1.0 - 0.3 * (miss[matched] / tolerance) ** 2)).sum())
+    met = matched.sum(axis=1) >= 3
+    thetas, miss, candidate, matched = thetas[met], miss[met], candidate[met], matched[met]
+    weight = np.where(matched, value[candidate], 0.0)
+    shift = (weight * miss).sum(axis=1) / weight.sum(axis=1)
+    miss = miss - shift[:, None]  # a trial clocking stands for the one it leads to
+    worth = np.minimum(weight / np.quantile(value, 0.75), 1.0)
+    scores = (worth * (1.0 - 0.3 * (miss / tolerance) ** 2)).sum(axis=1)
     if part.diameter_mm is not None:
-        expected = 0.5 * np.asarray(part.diameter_mm)[matched]
-        ratio = np.log(sizes[nearest[matched]] / expected)
+        ratio = np.where(matched, np.log(2.0 * sizes[candidate] / np.asarray(part.diameter_mm)), np.nan)
         # only differences between features count: a chamfer makes all voids larger alike
-        score -= float(np.minimum(np.abs(ratio - np.median(ratio)), 0.5).sum())
-    return PatternPose(np.zeros(2), float(theta + shift), int(matched.sum()), score)
+        scores -= np.nansum(np.minimum(np.abs(ratio - row_medians(ratio)[:, None]), 0.5), axis=1)
+    return thetas + shift, matched.sum(axis=1), scores
 
 
 def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: float) -> PatternFit:
@@ -265,13 +271,13 @@ def fit_pattern(part: Part, centres: Array, covariances: Array, clocking_rad: fl
         residual = measured - turned - pose[:2]
         precision = np.linalg.inv(own + extra * np.eye(2))
         trust = FAR / np.maximum(np.einsum("ni,nij,nj->n", residual, precision, residual), FAR)
-        weights = precision * trust[:, None, None]
         design = np.zeros((len(model), 2, 4))  # x, y, turn, and outward for the diameter
         design[:, 0, 0] = design[:, 1, 1] = 1.0
         design[:, 0, 2], design[:, 1, 2] = -turned[:, 1], turned[:, 0]
         design[:, :, 3] = turned / np.hypot(*turned.T)[:, None]
-        matrix = np.einsum("nij,nik,nkl->jl", design, weights, design)
-        pull = np.einsum("nij,nik,nk->j", design, weights, residual)
+        weighted = (precision * trust[:, None, None]) @ design
+        matrix = np.einsum("nij,nik->jk", weighted, design)
+        pull = np.einsum("nij,ni->j", weighted, residual)
         step, before = np.linalg.solve(matrix[:3, :3], pull[:3]), extra
         pose = pose + step
         # variance of true positions by moments (DerSimonian-Laird), so that chi-square meets its expectation

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,12 @@ from cellctl.vision.geometry import Array, PlaneFrame, robust_sigma, unit
 from cellctl.vision.part import FaceFit, Refused
 
 TUKEY = 4.685  # 95 % efficient for white noise
+LONGER = 1.2  # steps of reweighting are too short, for weights fall where residuals grow: E w / E psi' of such noise
 BLOCK_MM = 6.0
-JUDGES = 600
+JUDGES, FIRST_JUDGES, HEARD = 600, 120, 100
 THINNED = 20_000  # points that tell a scale, or where to start, as well as all of them
 LEVEL_ROUNDS = 12
-STILL_MM, STILL_RAD = 2e-6, 2e-8  # a tenth of what noise leaves unknown of the best face
+STILL_MM, STILL_RAD = 2e-4, 4e-6  # the next step is a hundredth: a tenth of what noise leaves unknown of the best face
 ROUGH_ROUNDS = 6  # as many tell which candidate is better
 SETTLED_MM = 1e-3  # of a plane that tells where to start
 RESOLUTION_MM = 1e-4  # of float32 at some hundred millimetres
@@ -82,17 +83,28 @@ def _ransac(points: Array, rng: np.random.Generator, tau_mm: float, trials: int)
         return None
     normals = normals[wide] / lengths[wide, None]
     distances = np.einsum("ij,ij->i", normals, chosen[wide, 0])
+    normals, distances = normals.astype(np.float32), distances.astype(np.float32)
     judges = points[rng.integers(0, len(points), min(len(points), JUDGES))]
-    n, q = normals.astype(np.float32), judges.astype(np.float32)
-    apart = n[:, :1] * q[:, 0] + n[:, 1:2] * q[:, 1] + n[:, 2:] * q[:, 2] - distances[:, None].astype(np.float32)
-    votes = (np.abs(apart) < tau_mm).sum(axis=1)
+    q = np.ascontiguousarray(judges.T, dtype=np.float32)
+    # a few judges tell which planes are worth a vote of all (preemptive: Nister, Mach. Vis. Appl. 16 (2005) 321)
+    likely = np.argsort(-_votes(normals, distances, q[:, :FIRST_JUDGES], tau_mm), kind="stable")[:HEARD]
+    votes = _votes(normals[likely], distances[likely], q, tau_mm)
     # the best few are told apart after a refit: a tilted plane through three noisy points catches few votes
     best: Plane | None = None
-    for index in np.argsort(-votes, kind="stable")[:3]:
+    for index in likely[np.argsort(-votes, kind="stable")[:3]]:
         plane = refit(judges, Plane(normals[index], float(distances[index]), tau_mm, 0), tau_mm, rounds=ROUGH_ROUNDS)
         if best is None or plane.points > best.points:
             best = plane
     return best
+
+
+def _votes(normals: Column, distances: Column, points: Column, tau_mm: float) -> NDArray[np.intp]:
+    """How many of points (3, M) lie within `tau_mm` of each plane (n, 3), (n,)."""
+    apart = normals[:, :1] * points[0]
+    apart += normals[:, 1:2] * points[1]
+    apart += normals[:, 2:] * points[2]
+    apart -= distances[:, None]
+    return np.asarray(np.count_nonzero(np.abs(apart, out=apart) < tau_mm, axis=1))
 
 
 def refit(points: Array, start: Plane, tau_mm: float, *, rounds: int = 50) -> Plane:
@@ -100,69 +112,63 @@ def refit(points: Array, start: Plane, tau_mm: float, *, rounds: int = 50) -> Pl
 
     A single refit inside tau pins the plane to its start; this widens to what the data says and goes on until still.
     """
-    normal, distance, sigma = start.normal, start.distance_mm, tau_mm
-    near = 0
+    normal, distance, sigma, near = start.normal, start.distance_mm, tau_mm, 0
+    columns = np.ascontiguousarray(points.T)
+    residuals = np.einsum("j,jn->n", normal, columns) - distance
     for step in range(rounds):
-        residuals = Plane(normal, distance, sigma, 0).residuals(points)
         reach = 2.0 * tau_mm if step < 2 else TUKEY * sigma
-        inside = np.abs(residuals) < reach
-        near = int(np.count_nonzero(inside))
+        weights = np.square(np.maximum(1.0 - np.square(residuals / reach), 0.0))
+        near = int(np.count_nonzero(weights))
         if near < 3:
             break
-        weights = (1.0 - (residuals[inside] / reach) ** 2) ** 2
-        selected = points[inside]
-        centre = np.einsum("i,ij->j", weights, selected) / weights.sum()
-        offset = selected - centre
-        new = np.linalg.eigh(np.einsum("ij,i,ik->jk", offset, weights, offset))[1][:, 0]
+        centre = np.einsum("n,jn->j", weights, columns) / weights.sum()
+        offset = columns - centre[:, None]
+        new = np.linalg.eigh(np.einsum("in,jn->ij", weights * offset, offset))[1][:, 0]
         new = new if new @ normal > 0 else -new
         moved = float(np.linalg.norm(new - normal)) * 100.0 + abs(float(new @ centre) - distance)
         normal, distance = new, float(new @ centre)
-        residuals = Plane(normal, distance, sigma, 0).residuals(points)
+        residuals = np.einsum("j,jn->n", normal, columns) - distance
         sigma = max(robust_sigma(residuals[np.abs(residuals) < max(reach, 3.0 * sigma)]), RESOLUTION_MM)
-        if moved < SETTLED_MM and step > 3:
+        if moved < SETTLED_MM and step > 1:
             break
     return Plane(normal, distance, sigma, near)
 
 
-def fit_face(points: Columns, start: Plane, toward: Array, area: Columns | None = None) -> FaceFit:
-    """The face as a result: plane refitted on `points` of the face alone, normal on the side of `toward` (3,).
+def fit_face(local: Columns, frame: PlaneFrame, sigma_mm: float, area: Columns | None = None) -> FaceFit:
+    """The face as a result: plane refitted on points of the face alone, given in the coordinates of a `frame` near it.
 
-    Flatness is told by `area`, points of the face's area whether they lie near its plane or not, else by `points`.
-    The covariance is the white-noise one times the inflation seen in blocks of 6 mm (neighbouring pixels share
-    noise). Raises Refused face_not_found with fewer than 50 points.
+    Its normal goes the way of the frame's. `sigma_mm` about tells the noise. Flatness is told by `area`, points of the
+    face's area in the frame whether they lie near its plane or not, else by the points. The covariance is the
+    white-noise one times the inflation seen in blocks of 6 mm (neighbouring pixels share noise). Raises Refused
+    face_not_found with fewer than 50 points.
     """
-    if len(points) < 50:
-        raise Refused("face_not_found", f"{len(points)} points on the face, at least 50 are needed")
-    normal = start.normal if toward @ start.normal > start.distance_mm else -start.normal
-    centre = np.array([total(points.x), total(points.y), total(points.z)]) / len(points)
-    frame = PlaneFrame.on(centre - start.residuals(centre) * start.normal, normal)
-    local = points.into(frame)
-    thin = local.take(np.s_[:: max(1, len(points) // THINNED)])
-    level, sigma = _level(local, *_level(thin, np.zeros(3), 2.0 * start.sigma_mm))
-    height = local.z - _height(level, local)
-    kept = np.flatnonzero(np.abs(height) < TUKEY * sigma)
-    if len(kept) < 50:
+    if len(local) < 50:
+        raise Refused("face_not_found", f"{len(local)} points on the face, at least 50 are needed")
+    thin = local.take(np.s_[:: max(1, len(local) // THINNED)])
+    level, sigma, _ = _level(thin, thin, np.zeros(3), 2.0 * sigma_mm)
+    level, sigma, spread = _level(local, thin, level, sigma)
+    means, counts = _block_means(local, level, TUKEY * sigma)
+    kept = int(counts.sum())
+    if kept < 50:
         raise Refused("face_not_found", "the face's points do not lie in one plane")
-    on, height = local.take(kept), height[kept]
-    middle = np.array([total(on.x), total(on.y)]) / len(on)
-    point = frame.out(np.append(middle, level @ np.append(1.0, middle)))
-    frame = PlaneFrame.on(point, unit(frame.axes.T @ np.array([-level[1], -level[2], 1.0])))
-    inflation = _inflation(height, _blocks(on, BLOCK_MM), sigma)
     # height above the plane at (u, v) = offset - tilt1 * u + tilt0 * v, right-handed about the two tangents
-    u, v = on.x - np.float32(middle[0]), on.y - np.float32(middle[1])
-    spread = np.array([[float(len(on)), 0.0, 0.0], [0.0, inner(v, v), -inner(u, v)], [0.0, -inner(u, v), inner(u, u)]])
-    covariance = sigma**2 * inflation * np.linalg.inv(spread)
-    area = points.take(np.s_[:: max(1, len(points) // THINNED)]) if area is None else area
-    shared = float(np.sqrt(covariance[0, 0] * min(len(on), len(area))))
+    u, v = spread[0, 1:] / spread[0, 0]
+    about = np.array([[1.0, 0.0, 0.0], [-v, 0.0, 1.0], [u, -1.0, 0.0]])
+    spread = about @ spread @ about.T * (kept / spread[0, 0])
+    covariance = sigma**2 * _inflation(means, counts, sigma) * np.linalg.inv(spread)
+    point = frame.out(np.array([u, v, level @ [1.0, u, v]]))
+    on = PlaneFrame.on(point, unit(frame.axes.T @ np.array([-level[1], -level[2], 1.0])), frame.axes[0])
+    area = thin if area is None else area
+    shared = float(np.sqrt(covariance[0, 0] * min(kept, len(area))))
     return FaceFit(
         point_mm=point,
-        normal=frame.axes[2],
-        tilt_axes=frame.axes[:2],
+        normal=on.axes[2],
+        tilt_axes=on.axes[:2],
         covariance=covariance,
         sigma_mm=sigma,
-        flatness_mm=flatness_mm(area.into(frame), sigma, shared),
-        points=len(on),
-        inliers=len(on) / len(points),
+        flatness_mm=flatness_mm(replace(area, z=area.z - _height(level, area)), sigma, shared),
+        points=kept,
+        inliers=kept / len(local),
     )
 
 
@@ -175,27 +181,35 @@ def _height(level: Array, points: Columns) -> Column:
     return np.asarray(height)
 
 
-def _level(points: Columns, level: Array, sigma: float) -> tuple[Array, float]:
-    """Tukey-weighted plane (3,) w = a + b u + c v from `level`, to convergence, and its scale."""
-    some = points.take(np.s_[:: max(1, len(points) // THINNED)])
+def _level(points: Columns, some: Columns, level: Array, sigma: float) -> tuple[Array, float, Array]:
+    """Tukey-weighted plane (3,) w = a + b u + c v from `level`, to convergence, its scale as `some` of the points show
+    it, and the weighted sums (3, 3) of products of (1, u, v)."""
     for _ in range(LEVEL_ROUNDS):
         left = some.z - _height(level, some)
         sigma = max(robust_sigma(left[np.abs(left) < TUKEY * sigma]), RESOLUTION_MM)
-        sums = sum((_moments(piece, level, TUKEY * sigma) for _, piece in points.batches()), np.zeros((3, 4)))
-        step = np.linalg.lstsq(sums[:, :3], sums[:, 3], rcond=None)[0]
+        sums, slack = np.zeros((3, 4)), 0.0
+        for _, piece in points.batches():
+            moments, loose = _moments(piece, level, TUKEY * sigma)
+            sums, slack = sums + moments, slack + loose
+        # weights fall where residuals grow, so that the steps of reweighting are all too short by the same share
+        # (Newton: sum of psi' for sum of w); twice a step still leads down
+        far = sums[0, 0] / max(5.0 * sums[0, 0] - 4.0 * slack, 0.5 * sums[0, 0])
+        step = far * np.linalg.lstsq(sums[:, :3], sums[:, 3], rcond=None)[0]
         level = level + step
         if abs(step[0]) < STILL_MM and np.abs(step[1:]).max() < STILL_RAD:
             break
-    return level, sigma
+    return level, sigma, sums[:, :3]
 
 
-def _moments(points: Columns, level: Array, reach_mm: float) -> Array:
-    """Weighted normal matrix and right-hand side (3, 4) of a step of the plane `level`."""
+def _moments(points: Columns, level: Array, reach_mm: float) -> tuple[Array, float]:
+    """Weighted normal matrix and right-hand side (3, 4) of a step of the plane `level`, and the sum of the weights'
+    roots."""
     left = points.z - _height(level, points)
     weights = left * np.float32(1.0 / reach_mm)
     np.square(weights, out=weights)
     np.subtract(np.float32(1.0), weights, out=weights)
     np.maximum(weights, np.float32(0.0), out=weights)
+    roots = total(weights)
     np.square(weights, out=weights)
     wu, wv = weights * points.x, weights * points.y
     first, second, third = total(wu), total(wv), inner(wu, points.y)
@@ -203,35 +217,34 @@ def _moments(points: Columns, level: Array, reach_mm: float) -> Array:
         [total(weights), first, second, inner(weights, left)],
         [first, inner(wu, points.x), third, inner(wu, left)],
         [second, third, inner(wv, points.y), inner(wv, left)],
-    ])  # fmt: skip
+    ]), roots  # fmt: skip
 
 
-def _blocks(local: Columns, width_mm: float) -> tuple[NDArray[np.int32], tuple[int, int]]:
-    """Number of the block (row-major) of each point, and the shape of the raster."""
-    scale = np.float32(1.0 / width_mm)
-    rows = ((local.x - local.x.min()) * scale).astype(np.int32)
-    columns = ((local.y - local.y.min()) * scale).astype(np.int32)
-    shape = (int(rows.max()) + 1, int(columns.max()) + 1)
-    rows *= np.int32(shape[1])
-    rows += columns
-    return rows, shape
+def _block_means(points: Columns, level: Array, reach_mm: float) -> tuple[Array, Array]:
+    """Mean height (U, V) over the plane `level` in every block of a raster of 6 mm, NaN where it holds few points, and
+    the number (U, V) of points within `reach_mm` of the plane."""
+    scale = np.float32(1.0 / BLOCK_MM)
+    low = points.x.min(), points.y.min()
+    shape = [int((side.max() - least) * scale) + 1 for side, least in zip((points.x, points.y), low, strict=True)]
+    counts, sums = np.zeros((2, shape[0] * shape[1]))
+    for _, piece in points.batches():
+        height = piece.z - _height(level, piece)
+        on = np.flatnonzero(np.abs(height) < reach_mm)
+        rows, columns = ((side.take(on) - least) * scale for side, least in zip((piece.x, piece.y), low, strict=True))
+        index = rows.astype(np.intp) * shape[1] + columns.astype(np.intp)
+        counts += np.bincount(index, minlength=len(counts))
+        sums += np.bincount(index, weights=height.take(on), minlength=len(sums))
+    enough = counts >= 0.3 * np.median(counts[counts > 0]) if counts.any() else counts > 0
+    means = np.where(enough, sums / np.maximum(counts, 1.0), np.nan)
+    return means.reshape(shape), counts.reshape(shape)
 
 
-def _block_means(height: Column, blocks: tuple[NDArray[np.int32], tuple[int, int]]) -> tuple[Array, Array]:
-    index, shape = blocks
-    counts = np.bincount(index, minlength=shape[0] * shape[1]).reshape(shape).astype(np.float64)
-    sums = np.bincount(index, weights=height, minlength=shape[0] * shape[1]).reshape(shape)
-    enough = counts >= 0.3 * np.median(counts[counts > 0])
-    return np.where(enough, sums / np.maximum(counts, 1.0), np.nan), counts
-
-
-def _inflation(height: Column, blocks: tuple[NDArray[np.int32], tuple[int, int]], sigma_mm: float) -> float:
+def _inflation(means: Array, counts: Array, sigma_mm: float) -> float:
     """How much more block means scatter than white noise would let them: the factor on a variance, at least 1.
 
     Differences of neighbouring blocks are used (Allan variance), so that long waves, which belong to type B, do
     not count.
     """
-    means, counts = _block_means(height, blocks)
     scatter = []
     for first, second, n1, n2 in (
         (means[1:], means[:-1], counts[1:], counts[:-1]),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.geometry import Array
+from cellctl.vision.geometry import Array, row_medians
 
 TUKEY = 6.0
 """An edge scatters with long tails that still carry its place: cut later than where noise is normal."""
@@ -46,7 +46,7 @@ def look(uv: Array, owner: NDArray[np.intp], radii_mm: Array, spacing_mm: float)
         edge, direction = _edges(uv, owner, centre, radius, sectors)
         shift, radius, scatter, kept, normal = _circles(edge, direction, radius, spacing_mm)
         centre = centre + shift
-    rho2 = np.square(uv - centre[owner]).sum(axis=1)
+    rho2 = np.square(uv[:, 0] - centre[owner, 0]) + np.square(uv[:, 1] - centre[owner, 1])
     inside = np.bincount(owner[rho2 < np.square(0.8 * radius)[owner]], minlength=count)
     seen = kept.sum(axis=1) >= max(8, sectors // 4)
     whole = np.where(seen, 1.0, np.nan)
@@ -64,8 +64,8 @@ def look(uv: Array, owner: NDArray[np.intp], radii_mm: Array, spacing_mm: float)
 def _edges(uv: Array, owner: NDArray[np.intp], centre: Array, radius: Array, sectors: int) -> tuple[Array, Array]:
     """Distance (K, S) of the innermost face point of every sector, infinite where there is none, and the direction
     (2, K, S) to it."""
-    u, v = (uv - centre[owner]).T
-    rho = np.hypot(u, v)
+    u, v = (uv[:, axis] - centre[owner, axis] for axis in (0, 1))
+    rho = np.sqrt(u * u + v * v)
     near = (rho > 0.6 * radius[owner]) & (rho < 1.45 * radius[owner])
     sector = ((np.arctan2(v[near], u[near]) / (2.0 * np.pi) + 0.5) * sectors).astype(np.intp) % sectors
     place = owner[near] * sectors + sector
@@ -92,12 +92,13 @@ def _circles(
     for _ in range(6):
         miss = np.where(there, edge - np.einsum("kp,pks->ks", answer, design), np.nan)
         with np.errstate(all="ignore"):
-            middle = _median(np.abs(miss))
+            middle = row_medians(np.abs(miss))
         scatter = np.maximum(1.4826 * np.nan_to_num(middle, nan=spacing_mm), 0.05 * spacing_mm)
-        ratio = np.nan_to_num(miss, nan=np.inf) / (TUKEY * scatter[:, None])
-        weights = np.where(np.abs(ratio) < 1.0, np.square(1.0 - np.minimum(np.square(ratio), 1.0)), 0.0)
-        normal = np.einsum("pks,ks,qks->kpq", design, weights, design) + 1e-9 * np.eye(3)
-        pull = np.einsum("pks,ks->kp", design, weights * np.nan_to_num(miss))
+        ratio = np.where(there, miss, np.inf) / (TUKEY * scatter[:, None])
+        weights = np.square(1.0 - np.minimum(np.square(ratio), 1.0))
+        weighted = design * weights
+        normal = np.einsum("pks,qks->kpq", weighted, design) + 1e-9 * np.eye(3)
+        pull = np.einsum("pks,ks->kp", weighted, np.where(there, miss, 0.0))
         answer = answer + np.linalg.solve(normal, pull[:, :, None])[:, :, 0]
     limit = 0.5 * radius[:, None]
     return (
@@ -106,14 +107,4 @@ def _circles(
         scatter,
         weights > 0,
         normal,
-    )
-
-
-def _median(values: Array) -> Array:
-    """Median (K,) over the finite values (K, S) of each row, NaN where there are none."""
-    ordered = np.sort(values, axis=1)  # NaN come last
-    counts = np.isfinite(values).sum(axis=1)
-    rows = np.arange(len(values))
-    return np.asarray(
-        0.5 * (ordered[rows, np.maximum(counts - 1, 0) // 2] + ordered[rows, counts // 2 % values.shape[1]])
     )

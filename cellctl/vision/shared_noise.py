@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cellctl.vision.columns import Columns
 from cellctl.vision.geometry import Array
-from cellctl.vision.part import FaceFit
 from cellctl.vision.stencil import neighbours
 
 Image = NDArray[np.float32]
@@ -38,21 +37,21 @@ class SharedNoise:
         return np.asarray(self.share * np.exp(-square_px / self.length_px**2))
 
 
-def on_face(scan: Columns, rows: NDArray[np.intp], face: FaceFit) -> SharedNoise | None:
-    """What the face's residuals on the pixel grid say, from `rows` (n,) of an organised scan that lie on the face.
+def on_face(points: Columns, normal: Array, distance_mm: float, sigma_mm: float) -> SharedNoise | None:
+    """What the residuals of the face's own points about its plane, normal . p = distance, say on the pixel grid.
 
     A band of image rows across the face shows it as well as the whole.
     """
-    assert scan.pixels is not None
-    height, width = scan.shape
-    counts = np.cumsum(np.append(0, np.bincount(scan.pixels[rows] // width, minlength=height)))
+    assert points.pixels is not None
+    height, width = points.shape
+    starts = np.searchsorted(points.pixels, width * np.arange(height + 1))
     band = int(min(height, max(4 * FAR_LAGS[-1], np.ceil(BAND_PIXELS / width))))
-    top = int(np.argmax(counts[band:] - counts[:-band]))
-    chosen = rows[counts[top] : counts[top + band]]
+    top = int(np.argmax(starts[band:] - starts[:-band]))
+    chosen = points.take(np.s_[starts[top] : starts[top + band]])
+    assert chosen.pixels is not None
     image = np.full((band, width), np.nan, dtype=np.float32)
-    left = scan.take(chosen).above(face.normal, float(face.normal @ face.point_mm))
-    image.reshape(-1)[scan.pixels[chosen] - top * width] = left
-    return estimate(image, face.sigma_mm)
+    image.reshape(-1)[chosen.pixels - top * width] = chosen.above(normal, distance_mm)
+    return estimate(image, sigma_mm)
 
 
 def estimate(residuals: NDArray[np.floating], sigma: float) -> SharedNoise | None:
@@ -93,14 +92,12 @@ def _correlation(z: Image, mask: Image, lag: int) -> float:
 def between(pixels: NDArray[np.intp], residuals: Array) -> SharedNoise | None:
     """What residuals (N,) of unit variance at `pixels` (N, 2), not enough of them for an image, have in common one and
     two pixels apart; None where they are as good as white."""
-
-    def mean(down: int, right: int) -> float:
-        other = neighbours(pixels, np.array([[down, right]]))[0]
+    power, shared = float(np.mean(residuals**2)), []
+    for other in neighbours(pixels, np.array([[0, -1], [-1, 0], [0, -2], [-2, 0]])):
         pairs = np.flatnonzero(other >= 0)
-        return float(np.mean(residuals[pairs] * residuals[other[pairs]])) if len(pairs) >= LEAST_PAIRS else 0.0
-
-    power = float(np.mean(residuals**2))
-    near, far = 0.5 * (mean(0, -1) + mean(-1, 0)) / power, 0.5 * (mean(0, -2) + mean(-2, 0)) / power
+        enough = len(pairs) >= LEAST_PAIRS
+        shared.append(float(np.mean(residuals[pairs] * residuals[other[pairs]])) / power if enough else 0.0)
+    near, far = 0.5 * (shared[0] + shared[1]), 0.5 * (shared[2] + shared[3])
     if near < LEAST_NEIGHBOUR or far <= LEAST_FAR:
         return None
     length = float(np.clip(np.sqrt(3.0 / np.log(max(near / far, 1.1))), 0.7, 5.0))
@@ -112,11 +109,11 @@ def correlated(columns: Array, pixels: Array, noise: SharedNoise) -> Array:
 
     On the grid the Gaussian separates into rows and columns, so R is never built.
     """
-    at = np.round(pixels - pixels.min(axis=0)).astype(np.intp)
-    height, width = at.max(axis=0) + 1
+    rows, places = (np.rint(side - side.min()).astype(np.intp) for side in pixels.T)
+    height, width = int(rows.max()) + 1, int(places.max()) + 1
     image = np.zeros((height, width, columns.shape[1]))
-    image[at[:, 0], at[:, 1]] = columns
+    image[rows, places] = columns
     across, along = (np.exp(-((np.subtract.outer(np.arange(n), np.arange(n)) / noise.length_px) ** 2))
                      for n in (height, width))  # fmt: skip
-    smooth = np.einsum("ab,bcq->acq", across, np.einsum("cd,bdq->bcq", along, image, optimize=True), optimize=True)
-    return np.asarray(noise.share * smooth[at[:, 0], at[:, 1]] + (1.0 - noise.share) * columns)
+    smooth = (across @ (along @ image).reshape(height, -1)).reshape(image.shape)
+    return np.asarray(noise.share * smooth[rows, places] + (1.0 - noise.share) * columns)

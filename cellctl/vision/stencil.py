@@ -39,7 +39,8 @@ class Stencil:
         found = neighbours(pixels, offsets)
         there = (found >= 0) & (group[found] == group)
         pattern = (1 << np.arange(places)) @ there
-        kinds, kind = np.unique(pattern, return_inverse=True)
+        present = np.bincount(pattern, minlength=1 << places) > 0
+        kinds, kind = np.flatnonzero(present), (np.cumsum(present) - 1)[pattern]
         filled = (kinds[:, None] >> np.arange(places)) & 1 == 1
         apart = np.square(offsets[:, None] - offsets[None]).sum(axis=2).astype(np.float64)
         matrix = np.where(apart > 0, correlation(np.maximum(apart, 1.0)), 0.0)
@@ -48,15 +49,15 @@ class Stencil:
         shares = np.linalg.solve(matrix, side[:, :, None])[:, :, 0]
         left = np.sqrt(np.maximum(1.0 - np.einsum("pk,pk->p", shares, side), 1e-6))
         count = len(pixels)
-        filled = np.column_stack([there.T, np.ones(count, dtype=np.bool_)])
-        columns = np.column_stack([found.T, np.arange(count)])[filled]
-        values = (np.column_stack([-shares, np.ones(len(left))]) / left[:, None])[kind][filled]
-        starts = np.append(0, np.cumsum(np.count_nonzero(filled, axis=1)))
-        return cls(csr_array((values, columns, starts), shape=(count, count)))
+        itself = np.arange(count, dtype=np.int32)[None]  # stands for places that are not filled, whose share is zero
+        columns = np.concatenate([np.where(there, found, itself), itself]).T
+        values = (np.column_stack([-shares, np.ones(len(left))]) / left[:, None]).take(kind, axis=0)
+        starts = (places + 1) * np.arange(count + 1, dtype=np.int32)
+        return cls(csr_array((values.ravel(), columns.ravel(), starts), shape=(count, count)))
 
     def apply(self, rows: Array) -> Array:
         """Independent rows (q, N) of unit variance from correlated ones."""
-        return np.asarray((self.free @ rows.T).T)
+        return np.ascontiguousarray((self.free @ rows.T).T)
 
     def back(self, rows: Array) -> Array:
         """The transpose of `apply`: how much each correlated point (q, N) weighs in sums over independent rows."""
@@ -69,11 +70,11 @@ def _offsets(places: int) -> Indices:
     return np.array(sorted(steps, key=lambda step: (step[0] ** 2 + step[1] ** 2, step))[:places], dtype=np.intp)
 
 
-def neighbours(pixels: Indices, offsets: Indices) -> Indices:
+def neighbours(pixels: Indices, offsets: Indices) -> NDArray[np.int32]:
     """Row (k, N) of the point at each of the offsets (k, 2), at most a few pixels, from every point, -1 for none."""
-    at = pixels - pixels.min(axis=0) + _BACK
-    height, width = at.max(axis=0) + 1 + _BACK
-    table = np.full(height * width, -1, dtype=np.intp)
-    place = at[:, 0] * width + at[:, 1]
-    table[place] = np.arange(len(place))
-    return np.asarray(table[place + (offsets[:, 0] * width + offsets[:, 1])[:, None]])
+    row, column = (side - (side.min() - _BACK) for side in np.ascontiguousarray(pixels.T))
+    width = int(column.max()) + 1 + _BACK
+    table = np.full((int(row.max()) + 1 + _BACK) * width, -1, dtype=np.int32)
+    place = row * width + column
+    table[place] = np.arange(len(place), dtype=np.int32)
+    return np.asarray(table.take(place + (offsets[:, 0] * width + offsets[:, 1])[:, None]))

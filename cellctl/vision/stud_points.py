@@ -14,6 +14,7 @@ from cellctl.vision.geometry import Array, median
 from cellctl.vision.part import Part
 from cellctl.vision.stud_tips import HALF_LEVEL_MM, radius_of
 from cellctl.vision.thread_surface import Indices, Rays
+from cellctl.vision.zones import nearest
 
 LEAST_HEIGHT_MM = 0.6
 """Points nearer to the face may be the face's own."""
@@ -141,15 +142,7 @@ def _around(local: Array, centres: Array, reach: float) -> _Around:
     cell = 0.25 * reach
     low = centres.min(axis=0) - 2.0 * reach
     shape = np.ceil((centres.max(axis=0) + 2.0 * reach - low) / cell).astype(np.intp) + 1
-    owner, best = np.full(shape, -1, dtype=np.int16), np.full(shape, np.inf)
-    span = int(np.ceil(reach / cell)) + 1
-    for index, at in enumerate((centres - low) / cell):
-        first = np.floor(at).astype(np.intp) - span
-        window = np.s_[first[0] : first[0] + 2 * span + 1, first[1] : first[1] + 2 * span + 1]
-        u, v = (np.arange(f, f + 2 * span + 1) + 0.5 - a for f, a in zip(first, at, strict=True))
-        distance = np.hypot(u[:, None], v)
-        nearer = (distance < best[window]) & (distance < span + 0.5)
-        best[window][nearer], owner[window][nearer] = distance[nearer], index
+    owner, _ = nearest(centres, low, cell, (int(shape[0]), int(shape[1])), reach + 1.5 * cell)
     u, v = (local[:2] - low[:, None]) / cell
     inside = np.flatnonzero((u >= 0) & (u < shape[0]) & (v >= 0) & (v < shape[1]))
     stud = owner[u[inside].astype(np.intp), v[inside].astype(np.intp)]

@@ -6,14 +6,14 @@ that a matrix library gives each to one thread: the bits do not depend on the nu
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellctl.vision.thread_surface import OWN, SHARED, Array
+from cellctl.vision.thread_surface import OWN, SIZE, Array
 
-SIZE = OWN + SHARED + 1
 BLOCK = 1024
 EM_ROUNDS = 40
 LEAN_DEGREES = 4.0
@@ -49,11 +49,14 @@ class Normal:
     def add(self, rows: Array, weights: Array, stud: NDArray[np.intp]) -> None:
         """Add rows (SIZE, N) of points sorted by `stud` (N,), with weights (N,)."""
         weighted = rows * weights
-        cuts = np.flatnonzero(np.diff(stud)) + 1
-        for begin, end in zip(np.append(0, cuts), np.append(cuts, len(stud)), strict=True):
+        for begin, end in _spans(stud):
             for first in range(begin, end, BLOCK):
                 block = np.s_[:, first : min(first + BLOCK, end)]
                 self.total[stud[begin]] += weighted[block] @ rows[block].T
+
+    def over(self, factor: float) -> Normal:
+        """For noise of `factor` times the variance: the data tell less, the priors as much as before."""
+        return Normal(self.total / factor)
 
     @property
     def own(self) -> Array:
@@ -98,23 +101,30 @@ class Normal:
         corrected for the parameters that the fit took from each stud's tiles.
         """
         inverse, _ = self.inverses(priors)
-        influence = np.einsum("nkl,ln,n->kn", inverse[stud, :2], rows[:OWN], rows[-1] * weights)
-        _, first, group = np.unique(stud * (int(tiles.max()) + 1) + tiles, return_index=True, return_inverse=True)
-        groups = np.bincount(stud[first], minlength=len(inverse))
+        influence = np.concatenate([inverse[stud[a], :2] @ rows[:OWN, a:b] for a, b in _spans(stud)], axis=1)
+        influence *= rows[-1] * weights
+        most = int(tiles.max()) + 1
+        labels, group = np.unique(stud * most + tiles, return_inverse=True)
+        groups = np.bincount(labels // most, minlength=len(inverse))
         sums = np.stack([np.bincount(group, influence[axis]) for axis in (0, 1)])
-        correction = groups[stud[first]] / np.maximum(groups[stud[first]] - 3.0, 1.0)
-        enough = groups[stud[first]] > 4
+        beside = groups[labels // most]
+        correction, enough = beside / np.maximum(beside - 3.0, 1.0), beside > 4
         found = float(np.sum((sums**2 * correction)[:, enough]))
         data = inverse @ self.own @ inverse
         expected = float(np.sum(np.einsum("nkk->n", data[:, :2, :2])[groups > 4]))
         return max(found / expected, 1.0) if expected > 0 else 1.0
 
 
-def lean_sigma(normal: Normal, own: Array, known: Array, priors: Priors, factor: float) -> float:
+def _spans(stud: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """Begin and end of the points of each stud that has any; `stud` (N,) is sorted."""
+    cuts = [0, *(np.flatnonzero(np.diff(stud)) + 1).tolist(), len(stud)]
+    return list(itertools.pairwise(cuts))
+
+
+def lean_sigma(normal: Normal, own: Array, known: Array, priors: Priors) -> float:
     """One sigma in rad of how studs lean, as wide as all studs together show it (empirical Bayes by EM).
 
-    A few degrees of freedom stand for what drawings allow, so that few studs do not claim to know it well. `factor`
-    widens the data's variances for noise that pixels share.
+    A few degrees of freedom stand for what drawings allow, so that few studs do not claim to know it well.
     """
     slopes, others = [2, 3], [0, 1, 4, 5]
     precision = priors.own**-2.0
@@ -126,8 +136,8 @@ def lean_sigma(normal: Normal, own: Array, known: Array, priors: Priors, factor:
     solved = np.linalg.solve(
         whole[:, others][:, :, others], np.concatenate([across.transpose(0, 2, 1), side[:, others, None]], axis=2)
     )
-    information = (whole[:, slopes][:, :, slopes] - across @ solved[:, :, :2]) / factor
-    pull = (side[:, slopes] - (across @ solved[:, :, 2:])[:, :, 0]) / factor
+    information = whole[:, slopes][:, :, slopes] - across @ solved[:, :, :2]
+    pull = side[:, slopes] - (across @ solved[:, :, 2:])[:, :, 0]
     # in the axes of each stud's information the rounds are sums of numbers
     known_by, axes = np.linalg.eigh(information)
     pulled = np.einsum("nkl,nk->nl", axes, pull)

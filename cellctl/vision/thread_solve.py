@@ -14,7 +14,7 @@ from cellctl.vision.shared_noise import SharedNoise, between
 from cellctl.vision.stencil import Stencil
 from cellctl.vision.thread_noise import NoiseLaw, learn, tukey
 from cellctl.vision.thread_normal import Normal, lean_sigma
-from cellctl.vision.thread_start import Start, near, rows_of
+from cellctl.vision.thread_start import Start, near
 from cellctl.vision.thread_surface import TIP, Array, Depths, Indices, Rays, depths
 
 ROUNDS, STILL_SIGMAS, LEARNING = 8, 0.5, 3
@@ -64,22 +64,25 @@ def solve(rays: Rays, start: Start, *, pixels: Indices | None = None, shape: tup
         places = np.stack(np.divmod(pixels[used], shape[1]), axis=1)
     noise = _shared(met, *robust, places)
     known, priors, factor = (start.own, start.shared), start.priors, 1.0
+    kept, stencil = _neighbours(robust[0], some.stud, places, noise)
+    steps = np.zeros_like(own), np.zeros_like(shared)
     for turn in range(ROUNDS):
         if turn:
-            met = depths(some, own, shared, start.form)
+            # after the first step the surfaces count as flat; what it leaves is looked at again
+            met = depths(some, own, shared, start.form) if turn > 1 else met.moved(steps, some.stud)
             robust = tukey(met, law)
-        if turn < LEARNING - 1:  # from then on few points change sides
-            kept, stencil = _neighbours(robust[0], some.stud, places, noise)
-        rows, square = _independent(rows_of(met, robust[1])[:, kept], robust[0][kept], stencil)
+        rows, square = _independent((met.rows / robust[1])[:, kept], robust[0][kept], stencil)
         normal = Normal.empty(len(own))
         normal.add(rows, square, some.stud[kept])
         if turn == 0 and places is not None:
             factor = normal.excess(rows, square, some.stud[kept], _tiles(places[kept]), priors)
+        normal = normal.over(factor)
         if turn < LEARNING:
-            priors = start.priors.leaning(lean_sigma(normal, own, known[0], start.priors, factor))
+            priors = start.priors.leaning(lean_sigma(normal, own, known[0], start.priors))
         d_own, d_shared = normal.step((own, shared), known, priors)
-        own, shared = own + np.clip(d_own, -0.1, 0.1), shared + np.clip(d_shared, -0.05, 0.05)
-        own_covariance, shared_covariance = (factor * part for part in normal.covariance(priors))
+        steps = np.clip(d_own, -0.1, 0.1), np.clip(d_shared, -0.05, 0.05)
+        own, shared = own + steps[0], shared + steps[1]
+        own_covariance, shared_covariance = normal.covariance(priors)
         if turn >= LEARNING - 1 and _still(d_own, own_covariance) and _still(d_shared[None], shared_covariance[None]):
             break
     weights[:] = 0.0

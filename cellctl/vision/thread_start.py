@@ -69,7 +69,7 @@ def near(rays: Rays, start: Start) -> tuple[Array, Array, NoiseLaw]:
     own, shared, law = _tried_again(some, start, own, shared, law)
     own, shared, law = _other_radius(some, start, own, shared, law)
     law = learn(met := depths(some, own, shared, start.form), law, shared)
-    lean_rad = lean_sigma(_normal(met, law, some.stud, len(own)), own, start.own, start.priors, 1.0)
+    lean_rad = lean_sigma(_normal(met, law, some.stud, len(own)), own, start.own, start.priors)
     if lean_rad > FAR_OUT * start.priors.own[2]:
         start = replace(start, priors=start.priors.leaning(lean_rad))
     wide = WIDE * law.scale_mm if law.growth < 1.0 else 0.0
@@ -110,14 +110,8 @@ def approach(
 def _normal(met: Depths, law: NoiseLaw, stud: NDArray[np.intp], count: int) -> Normal:
     weights, sigmas = tukey(met, law)
     normal = Normal.empty(count)
-    normal.add(rows_of(met, sigmas), weights, stud)
+    normal.add(met.rows / sigmas, weights, stud)
     return normal
-
-
-def rows_of(met: Depths, sigmas: Array) -> Array:
-    """Design and right-hand side (SIZE, N) in units of one sigma."""
-    side = np.where(np.isfinite(met.ahead_mm), -met.ahead_mm, 0.0)
-    return np.concatenate([met.slopes, side[None]]) / sigmas
 
 
 def _tried_again(rays: Rays, start: Start, own: Array, shared: Array, law: NoiseLaw) -> tuple[Array, Array, NoiseLaw]:
@@ -128,7 +122,9 @@ def _tried_again(rays: Rays, start: Start, own: Array, shared: Array, law: Noise
         return own, shared, law
     rows = np.flatnonzero(poor[rays.stud])
     once = Rays(rays.points[:, rows], rays.directions[:, rows], (np.cumsum(poor) - 1)[rays.stud[rows]])
-    trials = _likeliest(once, start, shared, _other_places(start, own, poor), np.flatnonzero(poor))
+    trials = _likeliest(
+        once.take(thinned(once.stud, SEEKERS)), start, shared, _other_places(start, own, poor), np.flatnonzero(poor)
+    )
     times, count = trials.shape[:2]
     some = _repeated(once, times, count)
     part = replace(start.only(np.tile(np.flatnonzero(poor), times), shared), own=trials.reshape(times * count, -1))
@@ -175,7 +171,7 @@ def _other_radius(rays: Rays, start: Start, own: Array, shared: Array, law: Nois
     some = seekers(rays)
     losses = []
     for change in RADIUS_CHANGES_MM:
-        met = depths(some, *_resized(own, shared, change), start.form)
+        met = depths(some, *_resized(own, shared, change), start.form, rows=False)
         losses.append(float(misfit(met, law).sum()))
     change = RADIUS_CHANGES_MM[int(np.argmin(losses))]
     if change == 0.0:
@@ -193,7 +189,7 @@ def _resized(own: Array, shared: Array, change_mm: float) -> tuple[Array, Array]
 
 def _misfit(rays: Rays, own: Array, shared: Array, form: Form, law: NoiseLaw) -> Array:
     """Share (n,) of each stud's points on thread and lead-in that do not fit."""
-    met = depths(rays, own, shared, form)
+    met = depths(rays, own, shared, form, rows=False)
     on, (weights, _) = on_thread(met, law.deepest_mm), tukey(met, law)
     there = np.bincount(rays.stud[on], minlength=len(own))
     return np.asarray(np.bincount(rays.stud[on & (weights == 0.0)], minlength=len(own)) / np.maximum(there, 1))
@@ -229,6 +225,6 @@ def _repeated(rays: Rays, times: int, studs: int) -> Rays:
 
 def _cost(rays: Rays, own: Array, shared: Array, form: Form) -> Array:
     """Bounded misses across the surface, summed over the points of each stud (n,)."""
-    met = depths(rays, own, shared, form)
+    met = depths(rays, own, shared, form, rows=False)
     miss = np.minimum(np.abs(np.nan_to_num(met.ahead_mm, nan=9.0)) * met.cosine, 0.3)
     return np.bincount(rays.stud, np.where(on_thread(met, np.inf), miss, 0.3), len(own)).astype(np.float64)

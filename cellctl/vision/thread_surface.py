@@ -9,7 +9,7 @@ linearised distance to the helix.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ SHARED = 5
 """Parameters that alike studs share: crest radius R, half crest width w, pitch P (mm), fall -dr/ds of the lead-in,
 root radius (mm)."""
 RADIUS, CREST_WIDTH, PITCH, FALL, ROOT_RADIUS = range(SHARED)
+SIZE = OWN + SHARED + 1
+LEAST_R_MM = 0.05
+"""Nearer to its axis no ray meets a thread."""
 BLOCK = 4096
 
 
@@ -61,68 +64,79 @@ class Form:
 @dataclass(frozen=True, slots=True)
 class Depths:
     """`ahead_mm` (N,) predicted minus measured depth along the ray, NaN where the ray misses; the surface met (N,);
-    derivatives (OWN + SHARED, N); cosine of incidence (N,); how far the place met lies below the crest (N,)."""
+    rows (SIZE, N) of least squares: derivatives by own and shared parameters, then minus `ahead_mm`, 0 where that is
+    NaN; cosine of incidence (N,); how far the place met lies below the crest (N,)."""
 
     ahead_mm: Array
     surface: NDArray[np.int8]
-    slopes: Array
+    rows: Array
     cosine: Array
     below_mm: Array
 
     def take(self, rows: Indices | slice) -> Depths:
         """The chosen points only."""
         return Depths(
-            self.ahead_mm[rows], self.surface[rows], self.slopes[:, rows], self.cosine[rows], self.below_mm[rows]
+            self.ahead_mm[rows], self.surface[rows], self.rows[:, rows], self.cosine[rows], self.below_mm[rows]
         )
 
+    def moved(self, steps: tuple[Array, Array], stud: Indices) -> Depths:
+        """After small steps of own (n, OWN) and shared (SHARED,) parameters: the rays meet the surfaces they met."""
+        ahead = self.ahead_mm + np.einsum("kn,kn->n", self.rows[:OWN], steps[0].T.take(stud, axis=1))
+        ahead += np.einsum("kn,k->n", self.rows[OWN:-1], steps[1])
+        rows = np.concatenate([self.rows[:-1], np.where(np.isfinite(ahead), -ahead, 0.0)[None]])
+        return replace(self, ahead_mm=ahead, rows=rows)
 
-def depths(rays: Rays, own: Array, shared: Array, form: Form) -> Depths:
-    """Predict the depth of every ray for stud parameters `own` (n, OWN) and `shared` (SHARED,).
+
+def depths(rays: Rays, own: Array, shared: Array, form: Form, *, rows: bool = True) -> Depths:
+    """Predict the depth of every ray for stud parameters `own` (n, OWN) and `shared` (SHARED,); without `rows` where
+    only that is asked.
 
     Block by block, so that what is worked on stays in the processor's cache.
     """
     count = len(rays.stud)
     if count <= BLOCK:
-        return _depths(rays, own, shared, form)
+        return _depths(rays, own, shared, form, rows)
     whole = Depths(
-        np.empty(count), np.empty(count, np.int8), np.empty((OWN + SHARED, count)), np.empty(count), np.empty(count)
-    )
+        np.empty(count), np.empty(count, np.int8), np.empty((SIZE if rows else 0, count)), np.empty(count),
+        np.empty(count),
+    )  # fmt: skip
     for begin in range(0, count, BLOCK):
-        rows = slice(begin, begin + BLOCK)
-        part = _depths(rays.take(rows), own, shared, form)
-        whole.ahead_mm[rows], whole.surface[rows], whole.slopes[:, rows] = part.ahead_mm, part.surface, part.slopes
-        whole.cosine[rows], whole.below_mm[rows] = part.cosine, part.below_mm
+        block = slice(begin, begin + BLOCK)
+        part = _depths(rays.take(block), own, shared, form, rows)
+        whole.ahead_mm[block], whole.surface[block], whole.rows[:, block] = part.ahead_mm, part.surface, part.rows
+        whole.cosine[block], whole.below_mm[block] = part.cosine, part.below_mm
     return whole
 
 
-def _depths(rays: Rays, own: Array, shared: Array, form: Form) -> Depths:
+def _depths(rays: Rays, own: Array, shared: Array, form: Form, rows: bool) -> Depths:
     track = _Track.of(rays, own, shared, form)
-    entries = np.full((6, len(rays.stud)), -np.inf)
-    entries[CREST] = track.cylinder_entry(track.radius)
-    entries[LEAD_IN] = track.lead_in_entry()
-    entries[TIP] = np.where(track.ds < -0.02, (form.tip_mm[rays.stud] - track.s) / np.minimum(track.ds, -0.02), -np.inf)
+    ahead, lead_in = track.cylinder_entry(track.radius), track.lead_in_entry()
+    tip = np.where(track.ds < -0.02, (form.tip_mm[rays.stud] - track.s) / np.minimum(track.ds, -0.02), -np.inf)
+    met = np.where(lead_in > ahead, np.int8(LEAD_IN), np.int8(CREST))
+    ahead = np.maximum(ahead, lead_in)
+    met = np.where(tip > ahead, np.int8(TIP), met)
+    ahead = np.maximum(ahead, tip)
     ridge = angle = np.zeros(0)
     if form.hand:
-        ridge, sign = track.ridge(entries.max(axis=0))
-        entry, angle = track.flank_entry(ridge, sign)
-        entries[UPPER] = np.where(sign > 0.0, entry, -np.inf)
-        entries[LOWER] = np.where(sign < 0.0, entry, -np.inf)
-    met = entries.argmax(axis=0).astype(np.int8)
-    ahead = entries.max(axis=0)
-    if form.hand and (np.abs(track.ds) < track.across).any():
-        # steeper rays meet the next ridge before they come down to the root
-        root = np.maximum(track.cylinder_entry(track.root), np.maximum(entries[LEAD_IN], entries[TIP]))
-        met = np.where(root < ahead, np.int8(ROOT), met)
-        ahead = np.minimum(ahead, root)
-    return track.derivatives(np.where(np.isfinite(ahead), ahead, np.nan), met, ridge, angle)
+        ridge, sign = track.ridge(ahead)
+        flank, angle = track.flank_entry(ridge, sign)
+        met = np.where(flank > ahead, np.where(sign > 0.0, np.int8(UPPER), np.int8(LOWER)), met)
+        ahead = np.maximum(ahead, flank)
+        if (np.square(track.ds) < track.flat).any():
+            # steeper rays meet the next ridge before they come down to the root
+            root = np.maximum(track.cylinder_entry(track.root), np.maximum(lead_in, tip))
+            met = np.where(root < ahead, np.int8(ROOT), met)
+            ahead = np.minimum(ahead, root)
+    return track.meeting(np.where(np.isfinite(ahead), ahead, np.nan), met, ridge, angle, rows)
 
 
 @dataclass(frozen=True, slots=True)
 class _Track:
     """Each ray in its stud's own frame: position x, y, s at the measured point and change dx, dy, ds per mm along it.
 
-    `across` (N,) is the length of (dx, dy), `angle` (N,) phi at the measured point, `radius` and `root` (N,) are each
-    stud's crest and root.
+    Of (x, y) and (dx, dy), which say all about distance and angle along the ray: `square` and `flat` (N,) are the
+    squares, `inward` their product, `swirl` their cross product. `angle` (N,) is phi at the measured point, `radius`
+    and `root` (N,) are each stud's crest and root.
     """
 
     x: Array
@@ -131,7 +145,10 @@ class _Track:
     dx: Array
     dy: Array
     ds: Array
-    across: Array
+    square: Array
+    flat: Array
+    inward: Array
+    swirl: Array
     phase: Array
     lead_in: Array
     radius: Array
@@ -152,18 +169,18 @@ class _Track:
         s, ds = s + slope_x * x + slope_y * y, ds + slope_x * dx + slope_y * dy
         lead = form.hand * form.starts * pitch / (2.0 * np.pi)
         extra = form.extra_mm[rays.stud]
-        across = np.sqrt(dx * dx + dy * dy)
-        phase = phase + form.middle_mm
         angle = np.arctan2(y, x) if form.hand else x
         return cls(
-            x, y, s, dx, dy, ds, across, phase, lead_in, common + extra, root + extra, half_crest, pitch, fall, lead,
-            angle,
+            x, y, s, dx, dy, ds, x * x + y * y, dx * dx + dy * dy, x * dx + y * dy, x * dy - y * dx,
+            phase + form.middle_mm, lead_in, common + extra, root + extra, half_crest, pitch, fall, lead, angle,
         )  # fmt: skip
 
-    def angle_at(self, x: Array, y: Array) -> Array:
-        """phi (N,) at places not far from the measured ones: the turn between them to fifth order."""
-        tangent = (self.x * y - self.y * x) / (self.x * x + self.y * y)
-        return self.angle + tangent * (1.0 - tangent * tangent * (1.0 / 3.0))
+    def around(self, at: Array) -> tuple[Array, Array]:
+        """Distance r (N,) from the axis and phi (N,) at places `at` (N,) along the rays, not far from the measured
+        ones: the turn between them to fifth order."""
+        r = np.sqrt(np.maximum(self.square + at * (2.0 * self.inward + at * self.flat), LEAST_R_MM**2))
+        tangent = at * self.swirl / (self.square + at * self.inward)
+        return r, self.angle + tangent * (1.0 - tangent * tangent * (1.0 / 3.0))
 
     def ridge(self, envelope: Array) -> tuple[Array, Array]:
         """Number (N,) of the ridge that each ray meets, and the slope of its flank there: FLANK the upper, -FLANK the
@@ -174,82 +191,79 @@ class _Track:
         whose noise on a crest seen at a grazing angle reaches from one ridge to the next.
         """
         at = np.where(np.isfinite(envelope), envelope, 0.0)
-        x, y = self.x + at * self.dx, self.y + at * self.dy
-        r = np.maximum(np.sqrt(x * x + y * y), 0.05)
-        turns = (self.s + at * self.ds - self.phase - self.lead * self.angle_at(x, y)) / self.pitch
+        r, angle = self.around(at)
+        turns = (self.s + at * self.ds - self.phase - self.lead * angle) * (1.0 / self.pitch)
         nearest = np.rint(turns)
         off = turns - nearest
-        half = (self.half_crest + (self.radius - r) / FLANK) / self.pitch
-        along = self.ds - self.lead * (x * self.dy - y * self.dx) / r**2
-        steep = along / np.minimum((x * self.dx + y * self.dy) / r, -1e-6)
-        above, below = np.where(off > 0.0, 1.0 - off, -off) - half, np.where(off > 0.0, off, 1.0 + off) - half
+        half = (self.half_crest + (self.radius - r) * (1.0 / FLANK)) * (1.0 / self.pitch)
+        steep = (self.ds - self.lead * self.swirl / r**2) / np.minimum((self.inward + at * self.flat) / r, -1e-6)
+        below = off - np.floor(off)  # how far the ray is over the ridge below it, in pitches
         # each flank is met at the depth: room over how fast it closes, 1 / FLANK less or more than the ray descends
-        up = above * (1.0 / FLANK + steep) < below * (1.0 / FLANK - steep)
+        up = (1.0 - below - half) * (1.0 / FLANK + steep) < (below - half) * (1.0 / FLANK - steep)
         beside = np.abs(off) > half
-        valley = np.where(off > 0.0, nearest, nearest - 1.0) + up
-        return np.where(beside, valley, nearest), np.where(beside & up, -FLANK, FLANK)
+        return np.where(beside, nearest + np.floor(off) + up, nearest), np.where(beside & up, -FLANK, FLANK)
 
     def cylinder_entry(self, radius: Array) -> Array:
         """Where the ray enters r = `radius` (N,); infinite where it passes beside."""
-        a, b = self.across**2, self.x * self.dx + self.y * self.dy
-        square = b * b - a * (self.x**2 + self.y**2 - radius**2)
+        square = self.inward * self.inward - self.flat * (self.square - radius * radius)
         root = np.sqrt(np.maximum(square, 0.0))
-        entry = np.where(a > 1e-12, (-b - root) / np.maximum(a, 1e-12), -np.inf)
+        entry = np.where(self.flat > 1e-12, (-self.inward - root) / np.maximum(self.flat, 1e-12), -np.inf)
         return np.asarray(np.where(square > 0, entry, np.inf))
 
     def lead_in_entry(self) -> Array:
         """Where the ray enters the cone r = R - fall (s - lead_in); -inf where it does not."""
-        room = self.radius - self.fall * (self.s - self.lead_in)
-        a = self.across**2 - (self.fall * self.ds) ** 2
-        b = self.x * self.dx + self.y * self.dy + room * self.fall * self.ds
-        square = b * b - a * (self.x**2 + self.y**2 - room**2)
+        room, closing = self.radius - self.fall * (self.s - self.lead_in), self.fall * self.ds
+        a, b, c = self.flat - closing * closing, self.inward + room * closing, self.square - room * room
+        square = b * b - a * c
         root = np.sqrt(np.maximum(square, 0.0))
         # both roots have the same product; this one does not cancel where the cone is entered near the point
-        entry = (self.x**2 + self.y**2 - room**2) / np.maximum(root - b, 1e-9)
-        inside = (square > 0) & (b < 0.9 * root) & (room - entry * self.fall * self.ds > 0.0)
+        entry = c / np.maximum(root - b, 1e-9)
+        inside = (square > 0) & (b < 0.9 * root) & (room - entry * closing > 0.0)
         return np.asarray(np.where(inside, entry, -np.inf))
 
     def flank_entry(self, ridge: Array, sign: Array) -> tuple[Array, Array]:
         """Entry into the half space of each ray's flank near the measured point, -inf where it leaves it; its phi."""
-        offset = self.phase + ridge * self.pitch
         level = FLANK * self.half_crest + self.radius
-        at = np.zeros(len(self.x))
-        enters = np.ones(len(self.x), dtype=np.bool_)
-        for _ in range(2):
-            x, y = self.x + at * self.dx, self.y + at * self.dy
-            r = np.maximum(np.sqrt(x * x + y * y), 0.05)
-            angle = self.angle_at(x, y)
-            turn = (x * self.dy - y * self.dx) / r**2
-            height = sign * (self.s + at * self.ds - offset - self.lead * angle) + r - level
-            slope = (x * self.dx + y * self.dy) / r + sign * (self.ds - self.lead * turn)
+        height = sign * (self.s - self.phase - ridge * self.pitch) - level
+        r, angle = np.sqrt(np.maximum(self.square, LEAST_R_MM**2)), self.angle
+        at, enters = np.zeros(len(self.x)), np.ones(len(self.x), dtype=np.bool_)
+        for last in (False, True):
+            turn = self.swirl / (r * r)
+            slope = (self.inward + at * self.flat) / r + sign * (self.ds - self.lead * turn)
             enters &= slope < -0.05
-            step = np.clip(-height / np.where(enters, slope, -1.0), -2.0, 2.0)
-            at = at + np.where(enters, step, 0.0)
-        return np.where(enters, at, -np.inf), angle + turn * np.where(enters, step, 0.0)
+            miss = height + sign * (at * self.ds - self.lead * angle) + r
+            step = np.where(enters, np.clip(miss / -np.where(enters, slope, -1.0), -2.0, 2.0), 0.0)
+            at = at + step
+            if not last:
+                r, angle = self.around(at)
+        return np.where(enters, at, -np.inf), angle + turn * step
 
-    def derivatives(self, ahead: Array, met: NDArray[np.int8], ridge: Array, angle: Array) -> Depths:
-        """Implicit derivatives of the depth at the surface that each ray meets: -(dF/dq) / (dF/d depth)."""
+    def meeting(self, ahead: Array, met: NDArray[np.int8], ridge: Array, angle: Array, rows: bool) -> Depths:
+        """The depths at the surface that each ray meets, with their implicit derivatives: -(dF/dq) / (dF/d depth)."""
         at = np.where(np.isfinite(ahead), ahead, 0.0)
         x, y, s = self.x + at * self.dx, self.y + at * self.dy, self.s + at * self.ds
-        r = np.maximum(np.sqrt(x * x + y * y), 0.05)
+        r = np.sqrt(np.maximum(x * x + y * y, LEAST_R_MM**2))
         lead_in, tip, root = met == LEAD_IN, met == TIP, met == ROOT
         sign = np.where(met == UPPER, FLANK, np.where(met == LOWER, -FLANK, 0.0))
-        radial = np.where(tip, 0.0, 1.0)
-        turn = sign * self.lead / r**2
-        gx, gy = radial * x / r + turn * y, radial * y / r - turn * x
+        radial, turn = np.where(tip, 0.0, 1.0), sign * self.lead / (r * r)
+        out = radial / r
+        gx, gy = out * x + turn * y, out * y - turn * x
         gs = sign + np.where(lead_in, self.fall, np.where(tip, 1.0, 0.0))
         slope = gx * self.dx + gy * self.dy + gs * self.ds
         slope = np.where(np.abs(slope) > 1e-3, slope, -1e-3)
-        scale = 1.0 / slope
-        columns = np.empty((OWN + SHARED, len(x)))
-        columns[0], columns[1] = gx * scale, gy * scale
-        columns[2], columns[3] = (s * gx - x * gs) * scale, (s * gy - y * gs) * scale
-        columns[4] = sign * scale
-        columns[5] = np.where(lead_in, self.fall, 0.0) * scale
-        columns[OWN + RADIUS] = np.where(root, 0.0, radial) * scale
-        columns[OWN + CREST_WIDTH] = np.abs(sign) * scale
-        columns[OWN + PITCH] = columns[4] * (self.lead / self.pitch * angle + ridge) if len(ridge) else 0.0
-        columns[OWN + FALL] = np.where(lead_in, self.lead_in - s, 0.0) * scale
-        columns[OWN + ROOT_RADIUS] = np.where(root, scale, 0.0)
-        cosine = np.abs(slope) / np.sqrt(gx**2 + gy**2 + gs**2)
+        cosine = np.abs(slope) / np.sqrt(gx * gx + gy * gy + gs * gs)
+        columns = np.empty((SIZE if rows else 0, len(x)))
+        if rows:
+            scale = 1.0 / slope
+            gx, gy, gs = gx * scale, gy * scale, gs * scale
+            columns[0], columns[1] = gx, gy
+            columns[2], columns[3] = s * gx - x * gs, s * gy - y * gs
+            columns[4] = sign * scale
+            columns[5] = np.where(lead_in, self.fall * scale, 0.0)
+            columns[OWN + RADIUS] = np.where(root | tip, 0.0, scale)
+            columns[OWN + CREST_WIDTH] = np.abs(columns[4]) * np.sign(scale)
+            columns[OWN + PITCH] = columns[4] * (self.lead / self.pitch * angle + ridge) if len(ridge) else 0.0
+            columns[OWN + FALL] = np.where(lead_in, (self.lead_in - s) * scale, 0.0)
+            columns[OWN + ROOT_RADIUS] = np.where(root, scale, 0.0)
+            columns[OWN + SHARED] = np.where(np.isfinite(ahead), -ahead, 0.0)
         return Depths(ahead, met, columns, cosine, self.radius - r)

@@ -27,9 +27,9 @@ class Belief:
     `offsets_mm` (stations, n, 2) hole minus stud where they pass each other, `entering` (stations,) where the stud's
     end passes the chamfer and `lag_mm` (n,) by how much later there than the first, `growth_mm_per_k` (n, 2) how a
     hole moves against its stud per kelvin, `jacobian` (n, 2, 3) of the offsets to a rigid motion (mm, mm, rad),
-    `clearance_mm` (n,). Each error is one sigma of an independent cause: `shared_mm` (n, 2, k) of k causes that move
-    all bolts, `own_mm` (stations, n, m) per axis of m causes that each bolt has for itself, the same draw at all
-    stations.
+    `clearance_mm` (n,). Each error is one sigma of an independent cause: `shared_mm` (stations, n, 2, k) of k causes
+    that move all bolts, `own_mm` (stations, n, m) per axis of m causes that each bolt has for itself, the same draw at
+    all stations.
     """
 
     offsets_mm: Array
@@ -43,7 +43,14 @@ class Belief:
 
     def seated(self) -> Belief:
         """The last station alone."""
-        return replace(self, offsets_mm=self.offsets_mm[-1:], entering=self.entering[-1:], own_mm=self.own_mm[-1:])
+        last = slice(-1, None)
+        return replace(
+            self,
+            offsets_mm=self.offsets_mm[last],
+            entering=self.entering[last],
+            shared_mm=self.shared_mm[last],
+            own_mm=self.own_mm[last],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +84,7 @@ def forecast(
     """
     drawn = _Draws.of(belief, generator, samples // 2, difference_k, sigma_k)
     room = np.square(belief.clearance_mm).astype(np.float32)
-    touches = np.zeros(len(drawn.common_mm), dtype=bool)
+    touches = np.zeros(len(drawn.shared), dtype=bool)
     for station in range(len(belief.offsets_mm)):
         touches |= (np.square(drawn.at(belief, station, slice(None))).sum(axis=2) > room).any(axis=1)
     touched = np.flatnonzero(touches)
@@ -96,10 +103,11 @@ def forecast(
 
 @dataclass(frozen=True, slots=True)
 class _Draws:
-    """What bolts may be: the part of their offsets (samples, n, 2) that all share, and standard normal numbers
-    (samples, n, 2) for each cause of their own. Single precision is far finer than any probability here."""
+    """What bolts may be: numbers (samples, k + 1) of the causes that all share, standard normal but for the temperature
+    difference that is the last, and standard normal numbers (samples, n, 2) for each cause of a bolt's own. Single
+    precision is far finer than any probability here."""
 
-    common_mm: NDArray[np.float32]
+    shared: NDArray[np.float32]
     own: tuple[NDArray[np.float32], ...]
 
     @classmethod
@@ -113,16 +121,16 @@ class _Draws:
             draw = generator.standard_normal((half, *shape), dtype=np.float32)
             return np.concatenate([draw, -draw])
 
-        causes = np.concatenate([belief.shared_mm, belief.growth_mm_per_k[:, :, None]], axis=2)
-        shared = both(causes.shape[2])
+        shared = both(belief.shared_mm.shape[3] + 1)
         shared[:, -1] = difference_k + sigma_k * shared[:, -1]
-        common = shared @ causes.reshape(2 * count, -1).T.astype(np.float32)
         own = tuple(both(count, 2) for _ in range(belief.own_mm.shape[2]))
-        return cls(common.reshape(-1, count, 2), own)
+        return cls(shared, own)
 
     def at(self, belief: Belief, station: int, rows: NDArray[np.intp] | slice) -> NDArray[np.float32]:
         """Offsets (rows, n, 2) of some samples at a station."""
-        offsets = self.common_mm[rows] + belief.offsets_mm[station].astype(np.float32)
+        causes = np.concatenate([belief.shared_mm[station], belief.growth_mm_per_k[:, :, None]], axis=2)
+        common = self.shared[rows] @ causes.reshape(2 * len(causes), -1).T.astype(np.float32)
+        offsets = common.reshape(-1, len(causes), 2) + belief.offsets_mm[station].astype(np.float32)
         for draw, sigma in zip(self.own, belief.own_mm[station].T.astype(np.float32), strict=True):
             offsets += draw[rows] * sigma[:, None]
         return np.asarray(offsets)
@@ -203,7 +211,7 @@ def radial_sigma(belief: Belief) -> Array:
     """One sigma (stations, n) in mm of each bolt's offset along its own direction, all causes together."""
     norm = np.linalg.norm(belief.offsets_mm, axis=2, keepdims=True)
     unit = np.where(norm > 1e-9, belief.offsets_mm / np.maximum(norm, 1e-9), np.sqrt(0.5))
-    shared = np.einsum("sia,iak->sik", unit, belief.shared_mm)
+    shared = np.einsum("sia,siak->sik", unit, belief.shared_mm)
     return np.asarray(np.sqrt(np.sum(shared**2, axis=2) + np.sum(belief.own_mm**2, axis=2)))
 
 

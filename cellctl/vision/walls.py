@@ -25,11 +25,14 @@ def wall_radii(near: Columns, owner: NDArray[np.intp], centres_mm: Array, part: 
     if band is None:
         return radii
     deep = np.flatnonzero((near.z > band[0]) & (near.z < band[1]))
-    rho = np.hypot(near.x[deep] - centres_mm[owner[deep], 0], near.y[deep] - centres_mm[owner[deep], 1])
+    deep = deep[np.argsort(owner[deep].astype(np.int16), kind="stable")]
+    of = owner[deep]
+    square = np.square(near.x[deep] - centres_mm[of, 0]) + np.square(near.y[deep] - centres_mm[of, 1])
+    starts = np.searchsorted(of, np.arange(part.count + 1))
     for k in range(part.count):
-        mine = rho[owner[deep] == k]
+        mine = square[starts[k] : starts[k + 1]]
         if len(mine) >= LEAST_ON_WALL and np.isfinite(centres_mm[k, 0]):
-            radii[k] = np.median(mine)
+            radii[k] = np.sqrt(np.median(mine))
     return radii
 
 

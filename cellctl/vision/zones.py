@@ -41,19 +41,18 @@ class Zones:
         low, high = band(part, radii_mm)
         cell = max(spacing_mm, 2.0 * high / MOST_CELLS)
         half = int(np.ceil(high / cell)) + 2
-        axis = (np.arange(2 * half) - half + 0.5) * cell
-        u, v = np.meshgrid(axis, axis, indexing="ij")
-        rho = np.hypot(u, v)
+        axis = np.square((np.arange(2 * half) - half + 0.5) * cell)
+        square = axis[:, None] + axis
         margin = 2.0 * spacing_mm + 0.75 * cell
-        on_face = (rho > low + margin) & (rho < high - margin)
-        expected = (rho > inner + margin) & (rho < outer - margin)
-        number, distance = _nearest_feature(part, u, v, rho, float(reach_mm.max()) + cell)
-        near = number >= 0
+        on_face = (square > (low + margin) ** 2) & (square < max(high - margin, 0.0) ** 2)
+        expected = (square > (inner + margin) ** 2) & (square < max(outer - margin, 0.0) ** 2)
+        corner = np.full(2, -half * cell)
+        number, distance = nearest(nominal(part), corner, cell, square.shape, float(reach_mm.max()) + cell)
         if part.feature == "hole":
-            clear = ~near | (distance > radii_mm[number] + margin)
+            clear = distance > radii_mm[number] + margin
             on_face &= clear
             expected &= clear
-        owned = near & (distance < reach_mm[number] + 0.75 * cell)
+        owned = distance < reach_mm[number] + 0.75 * cell
         codes = np.where(owned, number + 1, 0).astype(np.int16) | np.where(on_face, FACE, np.int16(0))
         for edge in (codes[0], codes[-1], codes[:, 0], codes[:, -1]):
             edge[:] = 0
@@ -72,17 +71,38 @@ class Zones:
         cells += columns.astype(np.int32)
         return cells
 
-    def coverage(self, counts: NDArray[np.intp]) -> float:
+    def coverage(self, seen: NDArray[np.bool_]) -> float:
         """Share (0 to 1) of the face's nominal area that holds points, in blocks of about two and a half spacings;
-        `counts` (n * n,) of the points on the face in each cell."""
-        n = len(self.codes)
+        `seen` (n * n,) are the cells with points on the face."""
         block = max(1, round(2.5 * self.spacing_mm / self.cell_mm))
-        size = n // block
-        seen = (
-            counts.reshape(n, n)[: size * block, : size * block].reshape(size, block, size, block).sum(axis=(1, 3)) > 0
-        )
-        expected = self.expected[: size * block, : size * block].reshape(size, block, size, block).all(axis=(1, 3))
-        return float(np.mean(seen[expected])) if expected.any() else 0.0
+        expected = ~_any_in_blocks(~self.expected, block)
+        there = _any_in_blocks(seen.reshape(self.codes.shape), block)
+        return float(np.mean(there[expected])) if expected.any() else 0.0
+
+
+def _any_in_blocks(bits: NDArray[np.bool_], block: int) -> NDArray[np.bool_]:
+    """Whether any bit is set in each whole block of `block` cells by as many."""
+    for _ in range(2):
+        size = len(bits) // block
+        bits = np.asarray(bits[: size * block].reshape(size, block, -1).any(axis=1)).T
+    return bits
+
+
+def nearest(
+    centres: Array, corner: Array, cell_mm: float, shape: tuple[int, int], reach_mm: float
+) -> tuple[NDArray[np.int16], Array]:
+    """Number of the nearest of the centres (n, 2) for every cell of a raster that begins at `corner` (2,), and the
+    distance of the cell's middle from it; -1 and infinite where that is `reach_mm` or more."""
+    number, distance = np.full(shape, -1, dtype=np.int16), np.full(shape, np.inf)
+    span = int(np.ceil(reach_mm / cell_mm)) + 1
+    for index, at in enumerate((centres - corner) / cell_mm):
+        middle = np.floor(at).astype(np.intp)
+        low, high = np.maximum(middle - span, 0), np.maximum(middle + span + 1, 0)
+        u, v = ((np.arange(a, min(b, n)) + 0.5 - c) * cell_mm for a, b, n, c in zip(low, high, shape, at, strict=True))
+        away, window = np.hypot(u[:, None], v), np.s_[low[0] : high[0], low[1] : high[1]]
+        nearer = (away < distance[window]) & (away < reach_mm)
+        distance[window][nearer], number[window][nearer] = away[nearer], index
+    return number, distance
 
 
 def rims(part: Part, radii_mm: Array) -> tuple[float, float]:
@@ -99,21 +119,3 @@ def band(part: Part, radii_mm: Array) -> tuple[float, float]:
     low = inner if part.face_inner_diameter_mm else 0.5 * inner
     high = outer if part.face_outer_diameter_mm else 1.5 * outer
     return low, high
-
-
-def _nearest_feature(part: Part, u: Array, v: Array, rho: Array, reach_mm: float) -> tuple[NDArray[np.intp], Array]:
-    """Number of the nearest feature of every cell within `reach_mm` of the circle, else -1, and the distance to it."""
-    ring = 0.5 * part.circle_diameter_mm
-    number = np.full(u.shape, -1, dtype=np.intp)
-    distance = np.full(u.shape, np.inf)
-    close = np.abs(rho - ring) < reach_mm
-    angles = np.mod(np.radians(part.angles_deg), 2.0 * np.pi)
-    order = np.argsort(angles)
-    middle = 0.5 * (angles[order] + np.append(angles[order][1:], angles[order][0] + 2.0 * np.pi))
-    start = middle[-1] - 2.0 * np.pi  # where the first feature's sector begins
-    at = np.mod(np.arctan2(v[close], u[close]) - start, 2.0 * np.pi)
-    owner = order[np.searchsorted(middle[:-1] - start, at)]
-    centre = nominal(part)[owner]
-    number[close] = owner
-    distance[close] = np.hypot(u[close] - centre[:, 0], v[close] - centre[:, 1])
-    return number, distance

@@ -26,7 +26,7 @@ def belief(offsets_mm: np.ndarray, own_mm: float, growth: float = 0.0) -> Belief
         lag_mm=np.zeros(count),
         growth_mm_per_k=growth * points,
         jacobian=jacobian,
-        shared_mm=np.zeros((count, 2, 0)),
+        shared_mm=np.zeros((1, count, 2, 0)),
         own_mm=np.full((1, count, 1), own_mm),
         clearance_mm=np.full(count, ROOM_MM),
     )

@@ -13,10 +13,11 @@ from .parts import HEIGHT, calibration, measurement, pose, recipe
 ANGLES = recipe().pattern.angles()
 MIRRORED = recipe().part("rotor").angles_deg
 HOME = AxesPosition(0, 0, 0, 0)
+SEATED, ENTRY = Station(0.0), Station(32.0)
 STILL = {"sigma_direction_deg": 0.0, "sigma_position_mm": 0.0, "sigma_roll_deg": 0.0}
 
 
-def covariance(at=HOME, **updates):
+def covariance(at=HOME, station=SEATED, **updates):
     cal = calibration()
     quiet = {
         "views": {
@@ -34,7 +35,7 @@ def covariance(at=HOME, **updates):
     rotor = measurement("stud", pose(z=HEIGHT, down=True), MIRRORED)
     joint = joint_of(rotor, measurement("hole", pose(), ANGLES), tuple(range(36)), cal, HOME)
     target = seat(joint, cal, at, 0.0)
-    return rigid(causes(joint, cal, HOME, target), offsets_at(joint, cal, target, Station(0.0))[1])
+    return rigid(causes(joint, cal, HOME, target, station), offsets_at(joint, cal, target, station)[1])
 
 
 def test_no_uncertainty_no_covariance() -> None:
@@ -46,6 +47,20 @@ def test_jack_direction_acts_over_the_travel() -> None:
     sigma = np.sqrt(np.diag(covariance(jack_line=line)))
     assert sigma[:2] == pytest.approx(HEIGHT * np.radians(0.01), rel=1e-3)
     assert sigma[2] == pytest.approx(0.0, abs=1e-8)
+
+
+def test_where_studs_enter_the_jack_has_not_gone_all_the_way() -> None:
+    line = calibration().jack_line.model_copy(update=STILL | {"sigma_direction_deg": 0.01})
+    sigma = np.sqrt(np.diag(covariance(station=ENTRY, jack_line=line)))
+    assert sigma[:2] == pytest.approx((HEIGHT - ENTRY.gap_mm) * np.radians(0.01), rel=1e-3)
+
+
+def test_view_rotation_acts_at_the_distance_of_what_enters() -> None:
+    quiet = {"sigma_rotation_deg": 0.0, "sigma_translation_mm": 0.0}
+    views = {name: view.model_copy(update=quiet) for name, view in calibration().views.items()}
+    views["rotor"] = views["rotor"].model_copy(update={"sigma_rotation_deg": 0.01})
+    sigma = np.sqrt(np.diag(covariance(station=ENTRY, views=views)))
+    assert sigma[:2] == pytest.approx((350.0 - ENTRY.gap_mm) * np.radians(0.01), rel=1e-3)
 
 
 def test_jack_straightness_is_sideways() -> None:

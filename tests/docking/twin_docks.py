@@ -48,6 +48,7 @@ def docked(one: Case, *, points: int = 0, moves: int = 1, samples: int = 4096) -
     """
     plant, noise = one.plant(), np.random.default_rng([one.seed, 2])
     spec = replace(align_spec(one.recipe), samples=samples)
+    rough = replace(spec, samples=2)  # samples do not move the target, and only the last forecast is asked for
 
     def measured(view: Literal["rotor", "shaft"]) -> PartMeasurement:
         if points == 0:
@@ -56,10 +57,8 @@ def docked(one: Case, *, points: int = 0, moves: int = 1, samples: int = 4096) -
         return measure_part(cloud, one.recipe.part(view), one.calibration.views[view].matrix)
 
     rotor, at = measured("rotor"), HOME
-    alignment = align(rotor, measured("shaft"), one.calibration, at, spec)
-    at = _move(plant, alignment)
-    for _ in range(moves - 1):
-        alignment = align(rotor, measured("shaft"), one.calibration, at, spec)
+    for left in reversed(range(moves)):
+        alignment = align(rotor, measured("shaft"), one.calibration, at, rough if left else spec)
         at = _move(plant, alignment)
     return _judged(plant.dock(), alignment)
 

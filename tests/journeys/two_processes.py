@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,10 @@ def assembled(seed: int, recipe: str, folder: Path, cell: Path = CELL) -> WireRu
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=WHOLE_RUN_S, check=False)
         wall_s = time.monotonic() - begun
     told = json.loads(done.stdout.splitlines()[-1]) if done.stdout.strip() else {}
-    true = json.loads((truth / f"R-{name}-S-{name}.json").read_text(encoding="utf-8"))
+    kept = truth / f"R-{name}-S-{name}.json"
+    if not kept.exists():
+        return WireRun(seed, "not begun", round(wall_s, 1), nan, nan, (nan, nan), (done.stderr[-600:],))
+    true = json.loads(kept.read_text(encoding="utf-8"))
     records = sorted((folder / "data" / "runs").glob("*/record.zip"))
     return WireRun(
         seed=seed,

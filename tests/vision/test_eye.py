@@ -1,14 +1,18 @@
-"""Where the eye stands over the face, told by the walls of the holes alone."""
+"""Where points were seen from: the pinhole of an organised cloud, and the eye that the walls of holes tell alone."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from cellctl.vision.eye import over_holes
-from cellctl.vision.geometry import inverse, transform
+from cellctl.vision.columns import Columns
+from cellctl.vision.eye import over_holes, viewpoint
+from cellctl.vision.geometry import inverse, pose, transform
 from cellctl.vision.pattern import nominal
 from tests.vision.files.scenes import hole_part, hole_scene
+from tests.vision.fit.reference import orientation
+from tests.vision.parts import SHAFT
+from tests.vision.synthetic import View, pose_above, render
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -42,3 +46,22 @@ def test_strays_show_no_eye() -> None:
     points = rng.uniform(-size, size, (len(owner), 3)) - [0.0, 0.0, size]
     points[:, :2] += nominal(part)[owner]
     assert over_holes(points, owner, nominal(part), np.full(part.count, 0.5 * size), 1.0) is None
+
+
+def test_pinhole_is_found_in_any_frame() -> None:
+    rng = np.random.default_rng(3)
+    grid = render(View(SHAFT, pose_above(), pixels=200), rng)
+    T = pose(orientation(rng), np.array([30.0, -20.0, 400.0]))
+    moved = transform(T, grid.astype(np.float64))
+    found, carried = viewpoint(Columns.of(grid)), viewpoint(Columns.of(moved))
+    assert found is not None and np.linalg.norm(found) < 1e-3
+    assert carried is not None and np.linalg.norm(carried - T[:3, 3]) < 1e-3
+
+
+def test_no_pinhole_where_there_is_none() -> None:
+    rng = np.random.default_rng(4)
+    grid = render(View(SHAFT, pose_above(), pixels=150), rng)
+    assert viewpoint(Columns.of(grid + rng.normal(0.0, 0.5, grid.shape).astype(np.float32))) is None
+    flat = np.dstack([*np.meshgrid(np.arange(50.0), np.arange(50.0)), np.full((50, 50), 300.0)])
+    assert viewpoint(Columns.of(flat)) is None
+    assert viewpoint(Columns.of(np.full((50, 50, 3), np.nan))) is None

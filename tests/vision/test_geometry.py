@@ -1,14 +1,12 @@
-"""Transforms, frames on a plane, and the pinhole recovered from an organised cloud."""
+"""Transforms and frames on a plane."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from cellctl.vision.geometry import PlaneFrame, inverse, pose, tangents, transform, unit, viewpoint, wrap_rad
+from cellctl.vision.geometry import PlaneFrame, inverse, pose, tangents, transform, unit, wrap_rad
 from tests.vision.fit.reference import orientation
-from tests.vision.parts import SHAFT
-from tests.vision.synthetic import View, pose_above, render
 
 
 def test_transform_round_trip() -> None:
@@ -42,22 +40,3 @@ def test_wrap() -> None:
 def test_unit_needs_a_length() -> None:
     with pytest.raises(ValueError):
         unit([0.0, 0.0, 0.0])
-
-
-def test_pinhole_is_found_in_any_frame() -> None:
-    rng = np.random.default_rng(3)
-    grid = render(View(SHAFT, pose_above(), pixels=200), rng)
-    T = pose(orientation(rng), np.array([30.0, -20.0, 400.0]))
-    moved = transform(T, grid.astype(np.float64))
-    found, carried = viewpoint(grid), viewpoint(moved)
-    assert found is not None and np.linalg.norm(found) < 1e-3
-    assert carried is not None and np.linalg.norm(carried - T[:3, 3]) < 1e-3
-
-
-def test_no_pinhole_where_there_is_none() -> None:
-    rng = np.random.default_rng(4)
-    grid = render(View(SHAFT, pose_above(), pixels=150), rng)
-    assert viewpoint(grid + rng.normal(0.0, 0.5, grid.shape).astype(np.float32)) is None
-    flat = np.dstack([*np.meshgrid(np.arange(50.0), np.arange(50.0)), np.full((50, 50), 300.0)])
-    assert viewpoint(flat) is None
-    assert viewpoint(np.full((50, 50, 3), np.nan)) is None

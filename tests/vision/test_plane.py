@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cellctl.vision.columns import Columns
-from cellctl.vision.part import Refused
+from cellctl.vision.geometry import PlaneFrame
+from cellctl.vision.part import FaceFit, Refused
 from cellctl.vision.plane import Plane, find_planes, fit_face, refit
 from tests.vision.fit.reference import Array, orientation
 
@@ -15,6 +16,13 @@ EYE = np.array([0.0, 0.0, 400.0])
 
 def patch(rng: np.random.Generator, count: int, *, sigma: float = 0.03, height: float = 0.0) -> Array:
     return np.column_stack([rng.uniform(-120, 120, (count, 2)), height + rng.normal(0.0, sigma, count)])
+
+
+def face_of(cloud: Array, start: Plane, eye: Array = EYE) -> FaceFit:
+    """The face from points of it alone, about a plane, seen from `eye`."""
+    toward = start.normal if start.residuals(eye) > 0.0 else -start.normal
+    frame = PlaneFrame.on(start.distance_mm * start.normal, toward)
+    return fit_face(Columns.of(cloud).into(frame), frame, start.sigma_mm)
 
 
 def test_two_planes_come_largest_first_and_strays_are_no_third() -> None:
@@ -47,7 +55,7 @@ def test_normal_meets_the_bound(sigma: float) -> None:
         cloud = np.vstack([patch(rng, 4000, sigma=sigma), rng.uniform(-100, 100, (120, 3))])
         start = Plane(np.array([0.002, 0.001, 1.0]) / np.linalg.norm([0.002, 0.001, 1.0]), 0.05, 0.03, 4000)
         plane = refit(cloud, start, 0.15)
-        face = fit_face(Columns.of(cloud[np.abs(plane.residuals(cloud)) < 8 * plane.sigma_mm]), plane, EYE)
+        face = face_of(cloud[np.abs(plane.residuals(cloud)) < 8 * plane.sigma_mm], plane)
         tilts.append(face.normal[:2])
         heights.append(face.point_mm @ face.normal)
         sigmas.append(np.sqrt(face.covariance[1, 1]))
@@ -61,7 +69,7 @@ def test_normal_points_to_the_eye_and_tilts_are_right_handed() -> None:
     rng = np.random.default_rng(9)
     cloud = patch(rng, 3000)
     for eye in (EYE, -EYE):
-        face = fit_face(Columns.of(cloud), refit(cloud, Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0), 0.15), eye)
+        face = face_of(cloud, refit(cloud, Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0), 0.15), eye)
         assert face.normal @ eye > 0
         assert np.allclose(np.cross(face.tilt_axes[0], face.tilt_axes[1]), face.normal)
 
@@ -70,10 +78,10 @@ def test_flatness_sees_a_bow_and_forgives_noise() -> None:
     rng = np.random.default_rng(10)
     cloud = patch(rng, 60_000)
     start = Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0)
-    assert fit_face(Columns.of(cloud), start, EYE).flatness_mm < 0.02
+    assert face_of(cloud, start).flatness_mm < 0.02
     bowed = cloud.copy()
     bowed[:, 2] += 0.15 * (cloud[:, 0] / 120) ** 2
-    assert fit_face(Columns.of(bowed), start, EYE).flatness_mm == pytest.approx(0.15, abs=0.04)
+    assert face_of(bowed, start).flatness_mm == pytest.approx(0.15, abs=0.04)
 
 
 def test_correlated_noise_widens_the_covariance() -> None:
@@ -84,14 +92,11 @@ def test_correlated_noise_widens_the_covariance() -> None:
     start = Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0)
     white = np.column_stack([u.ravel(), v.ravel(), rng.normal(0.0, 0.03, u.size)])
     shared = np.column_stack([u.ravel(), v.ravel(), spread.ravel()])
-    ratio = (
-        fit_face(Columns.of(shared), start, EYE).covariance[0, 0]
-        / fit_face(Columns.of(white), start, EYE).covariance[0, 0]
-    )
+    ratio = face_of(shared, start).covariance[0, 0] / face_of(white, start).covariance[0, 0]
     assert 7.0 < ratio < 11.5  # nine pixels share one value
 
 
 def test_too_little_of_a_face_is_refused() -> None:
     rng = np.random.default_rng(12)
     with pytest.raises(Refused, match="face_not_found"):
-        fit_face(Columns.of(patch(rng, 30)), Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0), EYE)
+        face_of(patch(rng, 30), Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.03, 0))

@@ -1,5 +1,7 @@
 """Forecast, contact and temperature window against analytic cases."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -28,7 +30,7 @@ def belief(count: int = 36, *, scatter: float = 0.0, rigid=(0.0, 0.0, 0.0), room
         lag_mm=np.zeros(count),
         growth_mm_per_k=growth * points,
         jacobian=jacobian,
-        shared_mm=jacobian @ np.diag(rigid),
+        shared_mm=(jacobian @ np.diag(rigid))[None],
         own_mm=np.full((1, count, 1), scatter),
         clearance_mm=np.full(count, room),
     )
@@ -44,6 +46,21 @@ def test_probability_of_independent_bolts_is_the_product_of_rayleigh_terms() -> 
 def test_probability_of_a_common_shift_is_one_rayleigh_term() -> None:
     found = forecast(belief(rigid=(0.1, 0.1, 0.0)), MODEL, np.random.default_rng(9), samples=20000)
     assert found.p_free == pytest.approx(1 - np.exp(-(0.15**2) / (2 * 0.1**2)), abs=5 * found.sigma_p)
+
+
+def test_one_cause_moves_all_stations_by_the_same_draw() -> None:
+    seated = belief(rigid=(0.05, 0.05, 0.0))
+    way_in = replace(
+        seated,
+        offsets_mm=np.repeat(seated.offsets_mm, 2, axis=0),
+        entering=np.array([True, False]),
+        shared_mm=np.concatenate([2.0 * seated.shared_mm, seated.shared_mm]),
+        own_mm=np.repeat(seated.own_mm, 2, axis=0),
+    )
+    found = forecast(way_in, MODEL, np.random.default_rng(9), samples=20000)
+    # whoever passes where the cause acts twice as much passes where it acts once
+    assert found.p_free == pytest.approx(1 - np.exp(-(0.15**2) / (2 * 0.1**2)), abs=5 * found.sigma_p)
+    assert way_in.seated().shared_mm == pytest.approx(seated.shared_mm)
 
 
 def test_probability_of_a_turn_is_a_normal_integral() -> None:
