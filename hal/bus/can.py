@@ -14,7 +14,6 @@ import logging
 import select
 import socket
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 import can
@@ -22,14 +21,15 @@ import can
 from hal.bus.ears import Ears, Listener
 from hal.clock import standing_still
 from hal.codec.cia301 import heartbeat
-from hal.codec.lawicel import CanFrame, LawicelError, decode, split
+from hal.codec.lawicel import CanFrame, LawicelError, decode, encode, split
 from hal.errors import NotConnected
 
 _log = logging.getLogger(__name__)
 
 SEND_TIMEOUT_S = 0.2
 """An adapter whose buffer stays full for so long is not sending. pyserial also takes a write that is done, but later
-than this on a busy machine, for failed; with 0 it would turn in circles on a full buffer."""
+than this on a busy machine, for failed; with 0 it would turn in circles on a full buffer. So a socket is written to
+without it."""
 OPEN_S = 4.0
 """An adapter must be open by then."""
 RETRY_S = 0.5
@@ -68,6 +68,7 @@ class CanBus:
         self._wake = asyncio.Event()
         self._trouble = "not opened"
         self.ears = Ears()
+        self._peer: socket.socket | None = None
         self._rest = b""
         self.corrupt = 0
         """Lines or frames that could not be read."""
@@ -136,6 +137,7 @@ class CanBus:
         if (peer := _peer(adapter)) is not None:
             # Or a frame waits, up to 40 ms, for the acknowledgement of the one before.
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            peer.setblocking(False)
         return adapter
 
     async def _pause(self, seconds: float) -> None:
@@ -146,14 +148,12 @@ class CanBus:
     async def _poll(self, adapter: can.BusABC) -> None:
         """Stay until the adapter fails or the bus is closed."""
         loop = asyncio.get_running_loop()
-        self._rest = b""
+        self._rest, self._peer = b"", _peer(adapter)
         self._trouble, self._adapter, self.ears.heard_s = "", adapter, loop.time()
         self._wake.clear()
         file = _descriptor(adapter)
         if file is not None:
-            peer = _peer(adapter)
-            read = partial(self._drain, adapter, file) if peer is None else partial(self._lines, peer)
-            loop.add_reader(file, read)
+            loop.add_reader(file, *((self._drain, adapter, file) if self._peer is None else (self._lines, self._peer)))
         self._opened.set()
         try:
             while not self._closing.is_set() and not self._trouble:
@@ -168,7 +168,7 @@ class CanBus:
                 loop.remove_reader(file)
 
     def _lose(self) -> None:
-        self._adapter = None
+        self._adapter = self._peer = None
         self._opened.clear()
         self.ears.down(self._trouble or "closed")
 
@@ -178,14 +178,11 @@ class CanBus:
         """Hand one frame to the adapter. Raises NotConnected; the frame is then lost."""
         if self._adapter is None:
             raise NotConnected(f"no CAN adapter: {self._trouble or 'closed'}", device=self.name)
-        message = can.Message(
-            arbitration_id=frame.can_id,
-            data=frame.data,
-            is_extended_id=frame.extended,
-            is_remote_frame=frame.remote,
-        )
         try:
-            self._adapter.send(message, timeout=SEND_TIMEOUT_S)
+            if self._peer is None:
+                self._adapter.send(_message(frame), timeout=SEND_TIMEOUT_S)
+            elif self._peer.send(line := encode(frame)) < len(line):
+                raise OSError("the socket is full")
         except _LIBRARY as error:
             self._fail(f"send failed: {error}")
             raise NotConnected(self._trouble, device=self.name) from error
@@ -223,11 +220,14 @@ class CanBus:
         """The same of an slcan adapter behind a socket, which the library would read byte by byte."""
         try:
             data = peer.recv(READ)
+        except BlockingIOError:
+            return
         except OSError as error:
             self._fail(f"receive failed: {error}")
             return
         if not data:
             self._fail("receive failed: socket disconnected")
+            return
         lines, self._rest = split(self._rest + data)
         for line in lines:
             if line[:1] in FRAMES:
@@ -255,6 +255,15 @@ class CanBus:
     def _fail(self, reason: str) -> None:
         self._trouble = self._trouble or reason
         self._wake.set()
+
+
+def _message(frame: CanFrame) -> can.Message:
+    return can.Message(
+        arbitration_id=frame.can_id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+        is_remote_frame=frame.remote,
+    )
 
 
 def _descriptor(adapter: can.BusABC) -> int | None:

@@ -62,11 +62,15 @@ def error_of(code: str, reason: str, device: str = "jack_force") -> DeviceError:
 
 
 class GuardLink:
-    """`hal.bus.ears.Link` to the guard at `socket`. `on_told` hears what it tells; `on_lost` that it is lost."""
+    """`hal.bus.ears.Link` to the guard at `socket`, lost once it says nothing for `silence_s`.
 
-    def __init__(self, socket: Path, child: GuardChild | None = None) -> None:
+    `on_told` hears what it tells, `on_lost` that it is lost.
+    """
+
+    def __init__(self, socket: Path, child: GuardChild | None = None, *, silence_s: float = SILENCE_S) -> None:
         self._socket = socket
         self._child = child
+        self._silence_s = silence_s
         self._ears = Ears()
         self._users = 0
         self._monitor: asyncio.Task[None] | None = None
@@ -141,8 +145,8 @@ class GuardLink:
                         await lost.wait()
                 now = loop.time()
                 self._ears.look(now)
-                if now - self._heard_s > SILENCE_S:
-                    self._trouble = f"it says nothing for {SILENCE_S:g} s"
+                if now - self._heard_s > self._silence_s:
+                    self._trouble = f"it says nothing for {self._silence_s:g} s"
                     break
         finally:
             transport.abort()

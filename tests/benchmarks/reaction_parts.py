@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 import os
-import pickle
 import socket
 import sys
 import threading
@@ -29,6 +28,7 @@ from hal.guard.__main__ import REAL_TIME
 from hal.guard.process import GuardProcess
 from hal.job_worker import NICENESS
 from hal.priority import never_paused, real_time
+from tests.benchmarks.worker import pipeline
 
 STOP = CanFrame(RPDO1 + 3, b"\x02\x00\x01")
 OVER = b"+9999"
@@ -61,21 +61,18 @@ def floor(pty: str, port: str) -> None:
 def vision(folder: str) -> None:
     """For ever, at the niceness of a worker."""
     os.nice(NICENESS)
-    _see(Path(folder))
+    _see("ours", Path(folder))
 
 
-def _see(folder: Path) -> None:
-    from cellctl.vision.measure import measure_part
-
+def _see(kind: str, folder: Path) -> None:
+    measure = pipeline(kind, folder, {})
     cloud = np.load(folder / "grid.npy")
-    with (folder / "part.pickle").open("rb") as file:
-        part = pickle.load(file)
     print("ready", flush=True)
     while True:
-        measure_part(cloud, part)
+        measure(cloud)
 
 
-def thread(cell: str, folder: str) -> None:
+def thread(kind: str, cell: str, folder: str) -> None:
     """The same guard, with the same priority for its thread, but one interpreter for both."""
 
     async def guard() -> None:
@@ -87,7 +84,7 @@ def thread(cell: str, folder: str) -> None:
         await asyncio.Event().wait()
 
     threading.Thread(target=lambda: asyncio.run(guard()), daemon=True).start()
-    _see(Path(folder))
+    _see(kind, Path(folder))
 
 
 def load(url: str, token: str, rate: str) -> None:

@@ -219,7 +219,12 @@ def _run(result: Json) -> list[str]:
 
 
 def _reaction(result: Json) -> list[str]:
-    ways = {"floor": "bare loop", "process": "guard in its process", "thread": "guard in a thread beside vision"}
+    ways = {
+        "floor": "bare loop",
+        "process": "guard in its process",
+        "thread": "guard in a thread beside vision",
+        "open3d": "guard in a thread beside Open3D",
+    }
     rows = [
         [name, *(number(result[key][one]) for one in ("p50_ms", "p99_ms", "max_ms")), str(result[key]["trials"])]
         for key, name in ways.items()
@@ -227,7 +232,7 @@ def _reaction(result: Json) -> list[str]:
     intro = f"""From the last byte of a sample above the trip on the pty to the quick stop at the CAN hub, with
 {result["answered_per_s"]:.0f} of {result["asked_per_s"]:.0f} requests a second answered by the API and vision on
 {_millions(result["points"])} points. p99 of the guard's process: {number(result["process_to_floor"])} times the floor;
-of the thread: {number(result["thread_to_process"])} times the process."""
+of the threads: {number(result["thread_to_process"])} and {number(result["open3d_to_process"])} times the process."""
     return ["## Reaction of the guard", "", intro, "", *table(["way", "p50, ms", "p99, ms", "max, ms", "trials"], rows)]
 
 
