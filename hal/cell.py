@@ -204,6 +204,7 @@ def build_cell(config: CellConfig, behind: Behind | None = None) -> Cell:
         free_mm=envelope.free_mm,
         guns_back_mm=envelope.guns_back_mm,
         pressure_low_bar=envelope.chuck_pressure_low_bar,
+        read_s=envelope.read_s,
     )
     permits = Permits(axes, bare["chuck"], bare["camera_park"], bare["safety"], guard, limits, latch)
     permitted: dict[str, Any] = {

@@ -52,12 +52,14 @@ class Envelope(Section):
 
     The camera may stand in a view while the jack is at or below `view_safe_mm`; stage and shaft table move, and the
     jack rises unguarded, only at or below `free_mm`; the guns are back while their feed is at or below `guns_back_mm`.
+    What the rules look at and has not answered within `read_s` is unknown, and nothing moves.
     """
 
     view_safe_mm: Mm = 20.0
     free_mm: Mm = 360.0
     guns_back_mm: Mm = 1.0
     chuck_pressure_low_bar: Bar = Field(default=4.0, ge=0)
+    read_s: Seconds = Field(default=0.25, gt=0, le=2.0)
 
 
 class CalibrationEntry(Section):

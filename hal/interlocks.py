@@ -22,8 +22,6 @@ WATCH_S = 0.2
 HALT_DEADLINE_S = 0.3
 GRACE_S = 0.02
 """A halted command has so long to return."""
-READ_DEADLINE_S = 0.25
-"""A device that has not answered by then is unknown."""
 
 
 class Permits:
@@ -74,12 +72,12 @@ class Permits:
                     asked["camera"] = self._camera_park.read
                 case "jack" | "gun_feed" | "gun_table":
                     asked[device] = self._axes[device].read
-        return Readings(**await _answers(asked), guarded=self._guard.state().armed)
+        return Readings(**await _answers(asked, self._limits.read_s), guarded=self._guard.state().armed)
 
 
-async def _answers(asked: Mapping[str, Callable[[], Awaitable[Any]]]) -> dict[str, Any]:
-    """What each gives, one after the other within `READ_DEADLINE_S` in all; None for one that fails or is late."""
-    deadline = asyncio.get_running_loop().time() + READ_DEADLINE_S
+async def _answers(asked: Mapping[str, Callable[[], Awaitable[Any]]], within_s: float) -> dict[str, Any]:
+    """What each gives, one after the other within `within_s` in all; None for one that fails or is late."""
+    deadline = asyncio.get_running_loop().time() + within_s
     answers: dict[str, Any] = {}
     while len(answers) < len(asked):  # once more only behind one that used up the time
         with contextlib.suppress(TimeoutError):

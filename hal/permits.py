@@ -26,12 +26,14 @@ class PermitLimits:
     `free_mm`: stage and table may move only while the jack is at or below it (studs out of the holes).
     `guns_back_mm`: the guns are back while their feed is at or below it.
     `pressure_low_bar`: below it the chuck does not hold.
+    `read_s`: a device that has not answered by then is unknown.
     """
 
     view_safe_mm: float
     free_mm: float
     guns_back_mm: float
     pressure_low_bar: float
+    read_s: float = 0.25
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hal.cell import build_cell
-from hal.config import load_cell
+from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
 
 
@@ -16,8 +17,18 @@ def test_a_cell_on_the_wire_has_no_fakes_and_the_same_cell_on_fakes_has_its_numb
     assert "fake" not in wire.kinds.values()
     fakes = wire.on_fakes()
     assert set(fakes.kinds.values()) == {"fake"}
-    assert fakes.devices == load_cell(root / "deploy/cell.fake.toml").devices
+    other = load_cell(root / "deploy/cell.fake.toml")
+    assert _but_speeds(fakes) == _but_speeds(other)
     assert fakes.on_fakes() == fakes
+
+
+def _but_speeds(cell: CellConfig) -> dict[str, Any]:
+    """The devices' numbers; some axes of the bench are quicker."""
+    numbers: dict[str, Any] = cell.devices.model_dump()
+    for entry in numbers.values():
+        for name in ("max_speed", "max_acceleration"):
+            entry.pop(name, None)
+    return numbers
 
 
 def test_files_are_found_beside_the_cell_file(root: Path) -> None:
