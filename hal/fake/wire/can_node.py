@@ -167,8 +167,8 @@ class CanNode:
     def _say(self, frame: CanFrame) -> None:
         """An answer, late where the book says so, never before an earlier one."""
         late = self._faults.active(self._name, "late", self._loop.time())
-        if late is not None:
-            self._queue(late.number, lambda: self._out(frame))
+        if late is not None or self._queued:
+            self._queue(late.number if late is not None else 0.0, lambda: self._out(frame))
         else:
             self._out(frame)
 
