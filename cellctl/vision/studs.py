@@ -18,8 +18,8 @@ from cellctl.vision.thread_start import Start, best_lead_in, best_phase, seekers
 from cellctl.vision.thread_surface import OWN, PITCH, RADIUS, ROOT_PITCHES, TIP, Form, Rays
 from cellctl.vision.thread_vote import ThreadVote, check_vote, shows, vote
 
-AXIS_PRIOR_DEG = 0.03
-"""One sigma of a stud's lean against the face's normal: a tapped hole's perpendicularity, with room to spare."""
+AXIS_PRIOR_DEG = 0.02
+"""One sigma of a stud's lean against the face's normal: what a tapped hole's perpendicularity allows."""
 MIN_POINTS = 12
 """Fewer points on a stud's thread and lead-in do not fix its axis."""
 MIN_SHARE, USUAL_SHARE = 0.5, 0.75

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from cellctl.vision.thread_surface import OWN, SIZE, Array
 
 BLOCK = 1024
-EM_ROUNDS = 40
+LEAN_GRID = np.geomspace(1.0 / 64.0, 4096.0, 97)
+"""Variances that are weighed, over the one that drawings allow."""
 LEAN_DEGREES = 4.0
 """What is known beforehand of how studs lean weighs as much as two studs."""
 
@@ -122,9 +123,11 @@ def _spans(stud: NDArray[np.intp]) -> list[tuple[int, int]]:
 
 
 def lean_sigma(normal: Normal, own: Array, known: Array, priors: Priors) -> float:
-    """One sigma in rad of how studs lean, as wide as all studs together show it (empirical Bayes by EM).
+    """One sigma in rad of how studs lean, as wide as all studs together show it.
 
-    A few degrees of freedom stand for what drawings allow, so that few studs do not claim to know it well.
+    Root of the variance that is expected of what the studs show, given what drawings allow (a scaled inverse chi square
+    of few degrees of freedom, so that few studs do not claim to know it well; Gelman, Bayesian Data Analysis, 2.6). The
+    likeliest variance would be too small: it is skewed.
     """
     slopes, others = [2, 3], [0, 1, 4, 5]
     precision = priors.own**-2.0
@@ -141,10 +144,10 @@ def lean_sigma(normal: Normal, own: Array, known: Array, priors: Priors) -> floa
     # in the axes of each stud's information the rounds are sums of numbers
     known_by, axes = np.linalg.eigh(information)
     pulled = np.einsum("nkl,nk->nl", axes, pull)
-    expected = float(priors.own[2]) ** 2
-    variance = expected
-    for _ in range(EM_ROUNDS):
-        spread = 1.0 / (known_by + 1.0 / variance)
-        shown = float(np.sum(np.square(spread * pulled) + spread))
-        variance = (shown + LEAN_DEGREES * expected) / (2.0 * len(own) + LEAN_DEGREES)
-    return float(np.sqrt(variance))
+    # each axis of a stud's information shows one slope, whose variance about zero is that of the lean and its own
+    variance = float(priors.own[2]) ** 2 * LEAN_GRID
+    gain = variance[:, None, None] * known_by
+    likelihood = 0.5 * np.sum(variance[:, None, None] * pulled**2 / (1.0 + gain) - np.log1p(gain), axis=(1, 2))
+    prior = -0.5 * LEAN_DEGREES * (np.log(LEAN_GRID) + 1.0 / LEAN_GRID)
+    weight = np.exp(likelihood + prior - np.max(likelihood + prior))
+    return float(np.sqrt(weight @ variance / weight.sum()))

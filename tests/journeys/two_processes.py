@@ -32,8 +32,8 @@ WHOLE_RUN_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class WireRun:
-    """How one run ended, `wall_s` after the service was up; `wrong` is empty where it was accepted, is good in truth and
-    its record says so."""
+    """How one run ended, `wall_s` after the service was up; `wrong` is empty where it was accepted, is good in truth,
+    and its record says so."""
 
     seed: int
     verdict: str
