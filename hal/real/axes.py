@@ -366,7 +366,11 @@ class CanAxis:
             return  # it stops; the fault comes when it stands
         if status.state is State.QUICK_STOP_ACTIVE and self.node.emergency is None:
             raise Interrupted("halted on the way", device=self.name)
-        raise DeviceFault(f"stopped by itself: {await self._error()}", device=self.name)
+        reason = await self._error()
+        await asyncio.sleep(POLL_S)  # a drive may leave its state a moment before it says that the power has gone
+        if not (await self._status()).voltage:
+            raise SafetyOpen("stopped, no power", device=self.name)
+        raise DeviceFault(f"stopped by itself: {reason}", device=self.name)
 
     async def _error(self) -> str:
         """The drive's own reason, from its error code; where that is gone, from its last emergency message."""
