@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from urllib.parse import quote
 
+from cellctl.whole_file import whole_file
 from hal.fake.plant import Plant
 from hal.fake.truth import TruthLimits, truth_of
 
@@ -42,7 +43,7 @@ def write_truth(folder: Path, plant: Plant, limits: TruthLimits) -> Path:
     """The file of the parts that are in, replaced whole. Gives its path. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{quote(plant.rotor.serial, safe='')}-{quote(plant.shaft.serial, safe='')}.json"
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(truth_of(plant, limits).as_dict(), allow_nan=False, indent=1) + "\n")
-    part.replace(path)
+    told = json.dumps(truth_of(plant, limits).as_dict(), allow_nan=False, indent=1) + "\n"
+    with whole_file(path, durable=False) as file:
+        file.write(told.encode())
     return path

@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from cellctl.calibration import Calibration
+from cellctl.whole_file import whole_file
 
 
 def save_calibration(path: Path, calibration: Calibration) -> None:
-    """Write it durably beside `path`, then rename. Raises OSError."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(as_toml(calibration))
-            file.flush()
-            os.fsync(file.fileno())
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    """Write it in the place of the one before, durably. Raises OSError."""
+    with whole_file(path, mode=0o644) as file:
+        file.write(as_toml(calibration).encode())
 
 
 def as_toml(calibration: Calibration) -> str:

@@ -10,7 +10,6 @@ import asyncio
 import hashlib
 import io
 import math
-import os
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 
 from cellctl.records.chain import Row
 from cellctl.records.errors import JournalUnavailable, RecordCorrupt
+from cellctl.whole_file import whole_file
 from hal.clock import standing_still
 
 Keep = Literal["all", "decision", "none"]
@@ -88,17 +88,10 @@ def store(folder: Path, arrays: Arrays, durable: bool = True) -> str:
     path = folder / f"{digest}.npz"
     if path.exists():
         return digest
-    part = path.with_suffix(".part")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as file:
+        with whole_file(path, durable=durable) as file:
             file.write(packed(arrays))
-            if durable:
-                file.flush()
-                os.fsync(file.fileno())
-        part.replace(path)
-        if durable:
-            sync_folder(folder)
     except OSError as error:
         raise JournalUnavailable(f"a blob cannot be written: {error}") from None
     return digest
@@ -184,15 +177,6 @@ DECISIONS = MappingProxyType({"measurement": "scan_{}", "artefact": "scan_artefa
 def is_scan(kind: str) -> bool:
     """Whether a blob of that kind, or from that device, is a camera's cloud."""
     return kind.startswith("scan")
-
-
-def sync_folder(folder: Path) -> None:
-    """Make a rename in `folder` durable."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _members(arrays: Arrays) -> list[tuple[str, bytes]]:

@@ -15,7 +15,6 @@ The same run sealed with the same key at the same time gives the same bytes.
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 from dataclasses import dataclass
 from datetime import datetime
@@ -26,10 +25,11 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from cellctl.records.audit import blob_hashes
-from cellctl.records.blobs import ZIP_EPOCH, Keep, dropped_by, sync_folder
+from cellctl.records.blobs import ZIP_EPOCH, Keep, dropped_by
 from cellctl.records.canonical import canonical
 from cellctl.records.chain import Row, head_of
 from cellctl.records.errors import JournalUnavailable, RecordCorrupt
+from cellctl.whole_file import whole_file
 
 FORMAT = 1
 CONTEXT = f"cellctl record {FORMAT}\0".encode()
@@ -125,31 +125,19 @@ def _make_key(path: Path) -> None:
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    part.unlink(missing_ok=True)
-    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+    with whole_file(path, mode=0o600) as file:
         file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    part.rename(path)
-    sync_folder(path.parent)
 
 
 def _write(path: Path, files: dict[str, bytes]) -> str:
-    part = path.with_suffix(".part")
     try:
-        with part.open("wb") as file:
-            with zipfile.ZipFile(file, "w") as archive:
-                for name, data in files.items():
-                    info = zipfile.ZipInfo(name, ZIP_EPOCH)
-                    info.create_system = 3
-                    # Blobs are packed already.
-                    info.compress_type = zipfile.ZIP_STORED if name.endswith(".npz") else zipfile.ZIP_DEFLATED
-                    archive.writestr(info, data)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-        sync_folder(path.parent)
+        with whole_file(path) as file, zipfile.ZipFile(file, "w") as archive:
+            for name, data in files.items():
+                info = zipfile.ZipInfo(name, ZIP_EPOCH)
+                info.create_system = 3
+                # Blobs are packed already.
+                info.compress_type = zipfile.ZIP_STORED if name.endswith(".npz") else zipfile.ZIP_DEFLATED
+                archive.writestr(info, data)
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         raise JournalUnavailable(f"the record cannot be written: {error}") from None
