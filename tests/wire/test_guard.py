@@ -47,6 +47,7 @@ def test_on_a_trip_the_quick_stop_is_the_first_that_is_sent_and_nothing_enables_
         await stand.client.arm(replace(LIMITS, tare_n=WEIGHT_N - 500.0))
         assert "above 200.00 N" in await tripped(stand)
         assert stand.latch.closed
+        await until(lambda: stopped(stand), 1.0)  # the word of the trip may be read before the bus is
         sent = [f for f in stand.frames if f.can_id == RPDO1 + NUMBER]
         assert sent[-1].data[0] == QUICK_STOP
         with pytest.raises(DeviceError):
