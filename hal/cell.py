@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from hal.config import CellConfig
-from hal.entries import CanAxisEntry, Devices, ForceLineEntry
+from hal.entries import Devices, ForceLineEntry
 from hal.errors import ConfigError, DeviceError, DeviceTimeout, NotConnected, SafetyOpen
-from hal.guard.heartbeat import Heartbeat
+from hal.guard.heartbeat import BEATS, Heartbeat
 from hal.guard.inloop import InLoopGuard
 from hal.interfaces import (
     Axis,
@@ -61,8 +61,6 @@ _log = logging.getLogger(__name__)
 
 EXCHANGE_DEADLINE_S = 5.0
 """Connecting, re-arming or closing one device may take so long."""
-BEATS = 4
-"""Heartbeats to the drives in the time after which they miss the controller: one may be lost, another late."""
 SAFETY_LOOK_S = 0.25
 """Between two looks at the safety inputs of a running cell."""
 
@@ -286,11 +284,8 @@ def _guarded(config: CellConfig, link: GuardLink) -> Guarded:
 
 
 def _beat_s(config: CellConfig) -> float:
-    """Between two beats: who hears none for two of a drive's periods, or for the guard's limit, acts on it."""
-    if config.guard.process != "in_loop":
-        return config.guard.beat_ms * 1e-3 / BEATS
-    periods_s = [entry.heartbeat_s for entry in config.entries.values() if isinstance(entry, CanAxisEntry)]
-    return 2.0 * min(periods_s, default=0.1) / BEATS
+    """Between two beats, which go to the guard, or to the drives where it shares this loop."""
+    return (config.consumer_s if config.guard.process == "in_loop" else config.guard.beat_ms * 1e-3) / BEATS
 
 
 async def _all(action: str, devices: Iterable[Device], do: Callable[[Device], Awaitable[T]]) -> dict[str, T]:

@@ -142,6 +142,12 @@ class CellConfig(Section):
         return MappingProxyType({name: getattr(self.devices, name) for name in Devices.model_fields})
 
     @property
+    def consumer_s(self) -> float:
+        """The first of the drives stops by itself after so long without a heartbeat."""
+        drives = (entry for entry in self.entries.values() if isinstance(entry, CanAxisEntry))
+        return min((drive.consumer_s for drive in drives), default=0.2)
+
+    @property
     def kinds(self) -> Mapping[str, str]:
         """The kind of every device."""
         return MappingProxyType({name: entry.kind for name, entry in self.entries.items()})

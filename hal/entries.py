@@ -78,6 +78,16 @@ class CanAxisEntry(_AnyAxis):
     product: int | None = None
     serial: int | None = None
 
+    @property
+    def consumer_s(self) -> float:
+        """The drive stops by itself where it hears no heartbeat of the controller for so long."""
+        return 2.0 * self.heartbeat_s
+
+    @property
+    def silence_s(self) -> float:
+        """A drive whose own heartbeat is not heard for so long is lost."""
+        return 3.0 * self.heartbeat_s
+
 
 class CanEntry(Section):
     """`[can]`: the CAN adapter in python-can's own words, and the controller's node number."""

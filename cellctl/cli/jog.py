@@ -8,6 +8,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     """Exit 0 where the axis arrived, 3 where it was refused or stopped, 2 for a wrong file or nobody to agree."""
     told()
     wish = Wish(args.axis, args.to, args.by, args.speed, args.limit)
-    say: Callable[[str], None] = lambda text: print(text, file=sys.stderr if args.json else sys.stdout, flush=True)  # noqa: E731
+    say = partial(print, file=sys.stderr if args.json else sys.stdout, flush=True)
     try:
         for name in ("to", "by", "speed", "limit"):
             _number(name, getattr(args, name))

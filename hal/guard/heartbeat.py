@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
+BEATS = 4
+"""Beats in the time after which who hears none acts on it: one may be lost, another late."""
+
 
 class Heartbeat:
     """Calls `send` every `period_s` while `alive`: where the guard died or the loop hangs, the drives stop."""

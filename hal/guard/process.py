@@ -26,20 +26,16 @@ from hal.config import CellConfig
 from hal.entries import CanAxisEntry, CanEntry, ForceLineEntry
 from hal.errors import CellError, DeviceError, NotConnected
 from hal.guard.files import ring_beside
+from hal.guard.heartbeat import BEATS
 from hal.guard.logic import Trip
 from hal.guard.ring import RingWriter
 from hal.guard.sentry import Sentry
 from hal.guard.server import Server
 from hal.interfaces import ForceBlock, GuardLimits
-from hal.real.axis_settings import CONSUMER_FACTOR
 from hal.real.force import SerialForceSensor
 
-BEATS = 4
-"""Heartbeats to the drives in the time after which they miss them: one may be lost, another late."""
 RETRY_S = 0.2
 """Between two attempts to have the sensor or the adapter back."""
-MISSED_BEATS = 3
-"""A bus on which no drive beats for so long is not heard any more."""
 _log = logging.getLogger(__name__)
 
 
@@ -51,19 +47,18 @@ class GuardProcess:
         assert isinstance(entry, ForceLineEntry), "the cell file was checked"
         assert isinstance(config.can, CanEntry), "the cell file was checked"
         axes = {name: one for name, one in config.entries.items() if isinstance(one, CanAxisEntry)}
-        beat_s = min((one.heartbeat_s for one in axes.values()), default=0.1)
         self._node = config.can.node
         self._nodes = [axes[name].node for name in sorted(axes, key=lambda name: name != "jack")]
-        self._silence_s = MISSED_BEATS * max((one.heartbeat_s for one in axes.values()), default=0.1)
+        self._silence_s = max((one.silence_s for one in axes.values()), default=0.3)
         self._loop = asyncio.get_running_loop()
         self._bus = can_bus
-        self._cycle_s = CONSUMER_FACTOR * beat_s / BEATS
+        self._cycle_s = config.consumer_s / BEATS
         self.sentry = Sentry(
             self._stop,
             self._tell,
             beat_s=config.guard.beat_ms * 1e-3,
             quiet_s=config.guard.quiet_ms * 1e-3,
-            consumer_s=CONSUMER_FACTOR * beat_s,
+            consumer_s=config.consumer_s,
             frozen_samples=config.guard.frozen_samples,
         )
         path = entry.model_copy(update={"path": str(config.beside(entry.path))})

@@ -27,8 +27,6 @@ ANSWER_S = 2.0
 """A halt, a change of state or a step of a handshake must have its answer by then."""
 POLL_S = 0.1
 """Between two looks at the statusword where no PDO calls for one."""
-MISSED_BEATS = 3
-"""A drive that is not heard for so many of its periods is lost."""
 ARRIVAL_S = 5.0
 """Beyond the time that a motion takes."""
 HOMING_S = 30.0
@@ -47,8 +45,7 @@ class CanAxis:
         self._entry = entry
         self.link = link
         self._controller = controller
-        silence_s = MISSED_BEATS * entry.heartbeat_s
-        self.node = Node(link, entry.node, name, silence_s=silence_s, reply_s=entry.reply_s)
+        self.node = Node(link, entry.node, name, silence_s=entry.silence_s, reply_s=entry.reply_s)
         """The drive as a CANopen node."""
         self._connected = False
         self._boots = 0

@@ -24,9 +24,6 @@ from hal.codec.cia301 import (
 )
 from hal.entries import CanAxisEntry
 
-CONSUMER_FACTOR = 2
-"""The drive stops when it misses the controller for so many of the heartbeat's periods."""
-
 
 def counts(entry: CanAxisEntry, value: float) -> int:
     """A position, speed or acceleration in the drive's units."""
@@ -55,7 +52,7 @@ def settings(entry: CanAxisEntry, controller: int) -> dict[Entry, int]:
         drive.ABORT_CONNECTION: drive.ABORT_QUICK_STOP,
         drive.FAULT_REACTION: drive.FAULT_QUICK_STOP,
         ERROR_BEHAVIOUR: ERROR_BEHAVIOUR_STAY,
-        CONSUMER_HEARTBEAT: consumer_heartbeat(controller, round(CONSUMER_FACTOR * entry.heartbeat_s * 1e3)),
+        CONSUMER_HEARTBEAT: consumer_heartbeat(controller, round(entry.consumer_s * 1e3)),
         PRODUCER_HEARTBEAT: round(entry.heartbeat_s * 1e3),
         drive.FOLLOWING_WINDOW: counts(entry, entry.following_error),
         drive.LIMIT_LOW: counts(entry, entry.low),

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable
-from functools import partial
 from pathlib import Path
 
 from cellctl.gun_programs import programs_of
 from cellctl.recipe import load_recipe
 from cellctl.twin import FakeCell, fake_cell, twin_of
-from hal.clock import QuickenedLoop, run_virtual
+from hal.clock import run_virtual
 from hal.config import CellConfig, load_cell
 from hal.fake.fault_file import Fault
 from hal.fake.wire.stand import Stand, standing
 from hal.jobs import InlineJobs
-from tests.contract.backends import alone
+from tests.contract.backends import alone, quickened
 from tests.journeys.twin_runs import CELL, RECIPE
 from tests.journeys.wire_runs import CATCH_UP_S, wire_cell
 
@@ -52,5 +50,4 @@ def on_wires(folder: Path, case: Callable[[CellConfig, Stand], Awaitable[None]],
         async with standing(config, twin.plant, twin.faults, twin.render, programs_of(recipe.tighten)) as stand:
             await case(config, stand)
 
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, speed, CATCH_UP_S)) as runner:
-        runner.run(alone(main()))
+    quickened(main(), speed, CATCH_UP_S)

@@ -35,7 +35,6 @@ from hal.fake.wire.modbus_io import StrokePart
 from hal.fake.wire.stand import Stand, standing
 from hal.jobs import InlineJobs
 from hal.priority import real_time
-from hal.real.axis_settings import CONSUMER_FACTOR
 
 ROOT = Path(__file__).parents[2]
 RECIPE = ROOT / "recipes" / "lpt_shaft_36.toml"
@@ -190,10 +189,8 @@ def _wrong(config: CellConfig, seen: Seen, victim: Victim) -> list[str]:
     wrong = []
     for name, rest_s in seen.rest_s.items():
         entry = config.entries[name]
-        if victim == "guard":
-            silent_s = CONSUMER_FACTOR * entry.heartbeat_s
-        else:  # the trip while armed; a controller that dies just between two moves costs the drives their heartbeat
-            silent_s = config.guard.quiet_ms * 1e-3 + CONSUMER_FACTOR * entry.heartbeat_s
+        # the trip while armed; a controller that dies just between two moves costs the drives their heartbeat
+        silent_s = entry.consumer_s + (0.0 if victim == "guard" else config.guard.quiet_ms * 1e-3)
         ramp_s = entry.max_speed / (entry.quick_stop_factor * entry.max_acceleration)
         if rest_s > (limit_s := silent_s + ramp_s + DESK_S):
             wrong.append(f"{name} stands after {rest_s:.3f} s (limit {limit_s:.3f} s)")

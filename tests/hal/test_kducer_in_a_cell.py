@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import socket
-from functools import partial
 from pathlib import Path
 
 from cellctl.gun_programs import programs_of
 from cellctl.recipe import load_recipe
 from cellctl.twin import twin_of
-from hal.clock import QuickenedLoop
 from hal.config import CellConfig, load_cell
 from hal.entries import KducerEntry
 from hal.fake.wire.gun_memory import TurnProgram
@@ -19,6 +16,7 @@ from hal.fake.wire.stand import standing
 from hal.jobs import InlineJobs
 from hal.real.build import real_devices
 from hal.real.kducer import KducerGun
+from tests.contract.backends import quickened
 from tests.journeys.twin_runs import RECIPE
 from tests.journeys.wire_runs import CATCH_UP_S
 
@@ -55,11 +53,8 @@ def test_an_entry_of_the_cell_file_is_a_gun_and_its_simulator(root: Path) -> Non
                 assert abs(turned.angle_deg - turn.angle_deg) <= 1.0
                 assert len(stand.guns[name].starts) == 1
                 await gun.close()
-        left = [task.get_name() for task in asyncio.all_tasks() if task is not asyncio.current_task()]
-        assert not left, f"tasks left: {left}"
 
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, 100.0, CATCH_UP_S)) as runner:
-        runner.run(main())
+    quickened(main(), 100.0, CATCH_UP_S)
 
 
 def test_the_same_cell_on_fakes(root: Path) -> None:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine
-from functools import partial
+from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +15,13 @@ from cellctl.records.summary import value_of
 from cellctl.records.verify import read_record, verify
 from cellctl.twin import twin_of
 from hal.cell import Cell, build_cell
-from hal.clock import QuickenedLoop
 from hal.config import CellConfig
 from hal.entries import GentlEntry
 from hal.errors import ConfigError, DeviceError, SafetyOpen
 from hal.fake.wire.stand import Stand, standing
 from hal.interfaces import View
 from hal.jobs import InlineJobs
+from tests.contract.backends import quickened
 from tests.journeys.twin_runs import RECIPE, small_recipe
 from tests.journeys.wire_runs import CATCH_UP_S, assembled_over_the_wire, free_ports, wire_cell
 
@@ -46,15 +44,8 @@ def on_wires(folder: Path, case: Callable[[Cell, Stand], Awaitable[None]]) -> No
                 await case(cell, stand)
             finally:
                 await cell.close()
-        left = [task.get_name() for task in asyncio.all_tasks() if task is not asyncio.current_task()]
-        assert not left, f"tasks left: {left}"
 
-    _quick(main())
-
-
-def _quick(main: Coroutine[Any, Any, None]) -> None:
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, 100.0, CATCH_UP_S)) as runner:
-        runner.run(main)
+    quickened(main(), 100.0, CATCH_UP_S)
 
 
 def test_every_device_of_the_wire_cell_connects_moves_and_is_made_safe(tmp_path: Path) -> None:
@@ -104,7 +95,7 @@ def test_nothing_is_simulated_on_another_machine(tmp_path: Path) -> None:
             async with standing(elsewhere, twin.plant, twin.faults, twin.render, ()):
                 pass
 
-    _quick(main())
+    quickened(main(), 100.0, CATCH_UP_S)
 
 
 def with_camera(config: CellConfig, producer: str) -> CellConfig:
@@ -131,7 +122,7 @@ def test_a_scanner_behind_gentl_is_simulated_at_the_address_of_its_producer(tmp_
             finally:
                 await cell.close()
 
-    _quick(main())
+    quickened(main(), 100.0, CATCH_UP_S)
 
 
 @pytest.mark.parametrize("producer", ["socket://192.0.2.7:4444", "/opt/maker/maker.cti"])
@@ -143,7 +134,7 @@ def test_a_camera_elsewhere_is_not_simulated(tmp_path: Path, producer: str) -> N
             async with standing(config, twin.plant, twin.faults, twin.render, ()):
                 pass
 
-    _quick(main())
+    quickened(main(), 100.0, CATCH_UP_S)
 
 
 @pytest.mark.nightly  # 75 s of CPU

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import tempfile
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from hal.bus.can import CanBus
-from hal.clock import QuickenedLoop
 from hal.codec.lawicel import CanFrame
 from hal.entries import ForceLineEntry
 from hal.fake.faults import FaultBook
@@ -26,7 +23,7 @@ from hal.guard.process import GuardProcess
 from hal.interfaces import GuardLimits
 from hal.latch import Latch
 from hal.real.axes import CanAxis
-from tests.contract.backends import CATCH_UP_S, alone, plant_of
+from tests.contract.backends import plant_of, quickened
 from tests.contract.fakes import fake_device
 from tests.contract.wire_axis import FEED, entry_of
 from tests.contract.wire_guard import Guarded, guarded
@@ -107,5 +104,4 @@ def on_stand(case: Callable[[GuardStand], Awaitable[None]]) -> None:
         async with standing() as stand:
             await case(stand)
 
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, SPEED, CATCH_UP_S)) as runner:
-        runner.run(alone(main()))
+    quickened(main(), SPEED)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from functools import partial
 
 import pytest
 
 from hal.bus.hub import BusFault, CanHub, Kind
-from hal.clock import QuickenedLoop
 from hal.codec.cia301 import HEARTBEAT, RPDO1, RPDO2, SDO_REPLY, SDO_REQUEST, TPDO1
 from hal.codec.cia402 import FEED, MODE_SHOWN, POSITION, START, STATUSWORD, VELOCITY
 from hal.codec.lawicel import CanFrame
@@ -20,7 +18,7 @@ from hal.fake.faults import FaultBook
 from hal.fake.wire.can_node import CanNode
 from hal.interfaces import Axis
 from hal.real.axes import CanAxis
-from tests.contract.backends import alone, plant_of
+from tests.contract.backends import plant_of, quickened
 from tests.contract.wire_axis import Wire, beat, bus_of, entry_of, wired
 
 ROUNDS = 20
@@ -37,8 +35,7 @@ def on_wire(case: Callable[[Wire], Awaitable[None]], *, prepared: bool = True) -
                 await wire.axis.home()
             await case(wire)
 
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, SPEED)) as runner:
-        runner.run(alone(main()))
+    quickened(main(), SPEED, None)
 
 
 def under_way(axis: Axis, to: float) -> asyncio.Task[object]:
@@ -372,5 +369,4 @@ def test_six_drives_share_one_adapter() -> None:
             node.close()
         await hub.close()
 
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, 5.0)) as runner:
-        runner.run(alone(main()))
+    quickened(main(), 5.0, None)

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hal.clock import QuickenedLoop
 from hal.errors import DeviceFault, DeviceRefused, DeviceTimeout, ImplausibleReading, NotConnected
 from hal.fake.faults import Fault, FaultBook
 from hal.fake.wire.force import ForceAmplifier
 from hal.interfaces import ForceBlock
 from hal.real.force import SerialForceSensor
 from tests.contract import wire_force
-from tests.contract.backends import CATCH_UP_S, WireBackend, alone, plant_of
+from tests.contract.backends import WireBackend, plant_of, quickened
 from tests.wire.as_device import CONNECTED, UNANSWERED, DeviceCase
 
 Case = Callable[[ForceAmplifier, SerialForceSensor], Coroutine[Any, Any, None]]
@@ -40,8 +39,7 @@ def on_wire(case: Case, *faults: Fault, connect: bool = True) -> None:
                 await sensor.connect()
             await case(amplifier, sensor)
 
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, SPEED, CATCH_UP_S)) as runner:
-        runner.run(alone(main()))
+    quickened(main(), SPEED)
 
 
 async def steps(sensor: SerialForceSensor, blocks: int, count: int = 3) -> list[tuple[int, int]]:

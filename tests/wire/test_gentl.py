@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hal.clock import QuickenedLoop
 from hal.errors import DeviceError, DeviceFault, DeviceRefused, DeviceTimeout, ImplausibleReading, NotConnected
 from hal.fake.faults import Fault, FaultBook
 from hal.fake.wire.gentl import SimulatedCamera
 from hal.real.gentl import GentlScanner
 from tests.contract import wire_gentl
-from tests.contract.backends import CATCH_UP_S, WireBackend, alone, plant_of
+from tests.contract.backends import WireBackend, plant_of, quickened
 from tests.wire.as_device import CONNECTED, UNANSWERED, DeviceCase
+from tests.wire.frames import each_goes_wrong_once
 
 Case = Callable[[SimulatedCamera, GentlScanner], Coroutine[Any, Any, None]]
 TIMES = 20
@@ -41,8 +41,7 @@ def on_wire(case: Case, *faults: Fault, speed: float = SPEED, reply_s: float = 1
             await scanner.connect()
             await case(camera, scanner)
 
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, speed, CATCH_UP_S)) as runner:
-        runner.run(alone(main()))
+    quickened(main(), speed)
 
 
 @pytest.mark.parametrize(
@@ -57,16 +56,7 @@ def test_each_fault_has_its_error_and_the_next_frame_is_good(
     kind: str, value: object, error: type[DeviceError], reason: str
 ) -> None:
     async def case(camera: SimulatedCamera, scanner: GentlScanner) -> None:
-        frame_id = 0
-        plain = getattr(camera.wire, kind)
-        for _ in range(TIMES):
-            setattr(camera.wire, kind, value)
-            with pytest.raises(error, match=f"scanner: .*{reason}"):
-                await scanner.capture("rotor")
-            setattr(camera.wire, kind, plain)
-            frame = await scanner.capture("rotor")
-            assert frame.frame_id > frame_id + 1, "the frame that went wrong had a number too"
-            frame_id = frame.frame_id
+        await each_goes_wrong_once(scanner, camera.wire, kind, value, error, reason, times=TIMES)
         assert camera.shots == 2 * TIMES, "nothing is asked twice"
 
     on_wire(case)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Coroutine
-from functools import partial
 from typing import Any
 
 import pytest
 
 from hal.bus.modbus import Lines
 from hal.bus.modbus_server import WireFault
-from hal.clock import QuickenedLoop
 from hal.codec import maps
 from hal.codec.modbus import WRITE_MANY, ExceptionCode, Framing, Request
 from hal.errors import (
@@ -26,7 +24,7 @@ from hal.errors import (
 from hal.fake.faults import Fault, FaultBook
 from hal.fake.plant import Plant
 from hal.fake.wire.modbus import SimulatedModbus
-from tests.contract.backends import CATCH_UP_S, alone, plant_of
+from tests.contract.backends import plant_of, quickened
 from tests.contract.fakes import fake_device
 from tests.contract.wire_modbus import UNIT, device
 
@@ -38,8 +36,7 @@ ON_BOTH = pytest.mark.parametrize("framing", FRAMINGS)
 
 
 def run(main: Coroutine[Any, Any, None]) -> None:
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, SPEED, CATCH_UP_S)) as runner:
-        runner.run(alone(main))
+    quickened(main, SPEED)
 
 
 class Wired:

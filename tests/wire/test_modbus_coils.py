@@ -5,24 +5,21 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Coroutine
-from functools import partial
 from typing import Any
 
 import pytest
 
 from hal.bus.modbus import Line, Link
 from hal.bus.modbus_server import ModbusServer, WireFault
-from hal.clock import QuickenedLoop
 from hal.codec.modbus import READ_COILS, READ_HOLDING, WRITE_COIL, Framing, Request
 from hal.errors import DeviceFault, DeviceTimeout, Interrupted, UnknownOutcome
-from tests.contract.backends import CATCH_UP_S, alone
+from tests.contract.backends import quickened
 
 ON_BOTH = pytest.mark.parametrize("framing", ["tcp", "rtu"])
 
 
 def run(main: Coroutine[Any, Any, None]) -> None:
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, 200.0, CATCH_UP_S)) as runner:
-        runner.run(alone(main))
+    quickened(main, 200.0)
 
 
 class Coils:

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +13,13 @@ import pytest
 
 from hal.bus.hub import CanHub
 from hal.capture import Record, read_capture
-from hal.clock import QuickenedLoop
 from hal.errors import ConfigError, DeviceError
 from hal.fake.wire.replay import Replay, on_can, on_serial, on_tcp
 from hal.interfaces import Band
-from tests.contract.backends import alone
+from tests.contract.backends import quickened
 from tests.wire import replayed
 
 CAPTURES = Path(__file__).parent / "captures"
-CATCH_UP_S = 0.01
 STAGE_X = 1
 
 
@@ -33,8 +30,7 @@ def records_of(name: str) -> tuple[Record, ...]:
 
 def quick(main: Coroutine[Any, Any, None]) -> None:
     """A busy machine makes nothing late on this loop."""
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, 20.0, CATCH_UP_S)) as runner:
-        runner.run(alone(main))
+    quickened(main, 20.0)
 
 
 async def ended(replay: Replay) -> str:

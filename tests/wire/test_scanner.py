@@ -12,14 +12,14 @@ from typing import Any
 import pytest
 
 from hal.bus.folder import Folder
-from hal.clock import QuickenedLoop
 from hal.errors import DeviceError, DeviceFault, DeviceRefused, DeviceTimeout, ImplausibleReading, NotConnected
 from hal.fake.faults import Fault, FaultBook
 from hal.fake.wire.scanner import DropFolder
 from hal.real.scanner import FileDropScanner
 from tests.contract import wire_scanner
-from tests.contract.backends import CATCH_UP_S, WireBackend, alone, plant_of
+from tests.contract.backends import WireBackend, plant_of, quickened
 from tests.wire.as_device import CONNECTED, UNANSWERED, DeviceCase
+from tests.wire.frames import each_goes_wrong_once
 
 Case = Callable[[DropFolder, FileDropScanner], Coroutine[Any, Any, None]]
 TIMES = 20
@@ -39,8 +39,7 @@ def on_wire(case: Case, *faults: Fault) -> None:
             await scanner.connect()
             await case(server, scanner)
 
-    with asyncio.Runner(loop_factory=partial(QuickenedLoop, SPEED, CATCH_UP_S)) as runner:
-        runner.run(alone(main()))
+    quickened(main(), SPEED)
 
 
 @pytest.mark.parametrize(
@@ -59,16 +58,7 @@ def test_each_fault_has_its_error_and_the_next_frame_is_good(
     kind: str, value: object, error: type[DeviceError], reason: str
 ) -> None:
     async def case(server: DropFolder, scanner: FileDropScanner) -> None:
-        frame_id = 0
-        plain = getattr(server.wire, kind)
-        for _ in range(TIMES):
-            setattr(server.wire, kind, value)
-            with pytest.raises(error, match=f"scanner: .*{reason}"):
-                await scanner.capture("rotor")
-            setattr(server.wire, kind, plain)
-            frame = await scanner.capture("rotor")
-            assert frame.frame_id > frame_id + 1, "the frame that went wrong had a number too"
-            frame_id = frame.frame_id
+        await each_goes_wrong_once(scanner, server.wire, kind, value, error, reason, times=TIMES)
         assert server.captures == 2 * TIMES, "nothing is asked twice"
 
     on_wire(case)

@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 from collections.abc import Coroutine, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from hal.fake.devices.guns import FakeGun
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.fake.wire.behind import BehindWire
-from hal.fake.wire.gun_memory import Program, TurnProgram
+from hal.fake.wire.gun_memory import EPOCH, Program, TurnProgram
 from hal.fake.wire.modbus_units import Watchdog
 from hal.interfaces import Band, TighteningProgram, TighteningResult, Trace
 
@@ -36,7 +36,6 @@ LOST_S = 4.0
 REPEATED_S = 1.0
 """A repeated result: so long the one before stays in the registers."""
 TOOL = 7
-EPOCH = datetime(2026, 1, 1)
 
 
 @dataclass(frozen=True, slots=True)
