@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from hal.config import CellConfig
 from hal.entries import Devices, ForceLineEntry
 from hal.errors import ConfigError, DeviceError, DeviceTimeout, NotConnected, SafetyOpen
+from hal.guard.enable import EnableKeeper
 from hal.guard.heartbeat import BEATS, Heartbeat
 from hal.guard.inloop import InLoopGuard
 from hal.interfaces import (
@@ -22,6 +23,7 @@ from hal.interfaces import (
     CameraPark,
     Chuck,
     Device,
+    EnableOutput,
     ForceGuard,
     ForceSensor,
     GapProbe,
@@ -33,6 +35,7 @@ from hal.interfaces import (
     SafetyInputs,
     Scanner,
     Thermometer,
+    ToolEnable,
 )
 from hal.interlocks import Permits
 from hal.latch import Latch
@@ -108,6 +111,7 @@ class Cell:
     chuck: Chuck
     camera_park: CameraPark
     nut_feeder: NutFeeder
+    tool_enable: ToolEnable
     gap_probe_1: GapProbe
     gap_probe_2: GapProbe
     gap_probe_3: GapProbe
@@ -204,7 +208,10 @@ def build_cell(config: CellConfig, behind: Behind | None = None) -> Cell:
         pressure_low_bar=envelope.chuck_pressure_low_bar,
         read_s=envelope.read_s,
     )
-    permits = Permits(axes, bare["chuck"], bare["camera_park"], bare["safety"], guard, limits, latch)
+    if link is None or config.devices.tool_enable.kind == "fake":
+        bare["tool_enable"] = _kept(config, bare["tool_enable"], guard, latch)
+    looked_at = (bare["chuck"], bare["camera_park"], bare["safety"], bare["tool_enable"])
+    permits = Permits(axes, *looked_at, guard, limits, latch)
     permitted: dict[str, Any] = {
         name: PermittedAxis(name, axis, permits, getattr(config.devices, name).in_position)
         for name, axis in axes.items()
@@ -252,6 +259,14 @@ def _guard(
     )
 
 
+def _kept(config: CellConfig, output: EnableOutput, guard: CellGuard, latch: Latch) -> EnableKeeper:
+    """The output that lets the guns turn, kept by the guard that shares this loop: it falls when the latch closes."""
+    watchdog_s: float = getattr(config.devices.tool_enable, "watchdog_s", 0.0)
+    keeper = EnableKeeper(output, lambda: "" if guard.alive else "the guard has died", watchdog_s)
+    latch.on_close = keeper.fall
+    return keeper
+
+
 def _bare(
     config: CellConfig, behind: Behind | None, link: GuardLink | None
 ) -> tuple[dict[str, Any], Callable[[], None] | None]:
@@ -275,12 +290,18 @@ def _bare(
 
 
 def _guarded(config: CellConfig, link: GuardLink) -> Guarded:
+    from hal.guard.enable_client import GuardedToolEnable
     from hal.guard.force import RingForceSensor
     from hal.real.build import Guarded
 
     entry = config.devices.jack_force
     assert isinstance(entry, ForceLineEntry), "the cell file was checked"
-    return Guarded(link, RingForceSensor("jack_force", entry, link, config.beside(config.guard.socket)))
+    devices: dict[str, Any] = {
+        "jack_force": RingForceSensor("jack_force", entry, link, config.beside(config.guard.socket))
+    }
+    if config.devices.tool_enable.kind != "fake":
+        devices["tool_enable"] = GuardedToolEnable("tool_enable", link)
+    return Guarded(link, devices)
 
 
 def _beat_s(config: CellConfig) -> float:

@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, get_args
 
 from pydantic import Field, ValidationError, model_validator
 
-from hal.entries import CanAxisEntry, CanEntry, Devices, ForceLineEntry, Section
+from hal.entries import CanAxisEntry, CanEntry, Devices, ForceLineEntry, ModbusEnableEntry, Section
 from hal.errors import ConfigError
 from hal.units import Bar, Fraction, Kilogram, Mm, NewtonPerMm, Seconds
 
@@ -111,6 +111,16 @@ class CellConfig(Section):
     def _guarded(self) -> Self:
         if self.guard.process != "in_loop" and not (self.can and isinstance(self.devices.jack_force, ForceLineEntry)):
             raise ValueError("a guard process owns the CAN adapter and the jack's force sensor on a serial port")
+        return self
+
+    @model_validator(mode="after")
+    def _enabled(self) -> Self:
+        """A serial line has one owner."""
+        enable = self.devices.tool_enable
+        path = enable.port_path if isinstance(enable, ModbusEnableEntry) else ""
+        shared = [name for name, one in self.entries.items() if path and getattr(one, "port_path", "") == path]
+        if self.guard.process != "in_loop" and len(shared) > 1:
+            raise ValueError(f"{path} of {', '.join(shared)}: a guard process has the tool enable on a line of its own")
         return self
 
     @model_validator(mode="after")

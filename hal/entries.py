@@ -263,6 +263,12 @@ class ModbusStrokeEntry(ModbusEntry):
     stroke_s: Seconds = Field(default=8.0, gt=0)
 
 
+class ModbusEnableEntry(ModbusEntry):
+    """The output that lets the guns turn, at a coupler that drops it after `watchdog_s` of silence."""
+
+    watchdog_s: Seconds = Field(default=1.0, ge=0.1, le=10.0)
+
+
 class ModbusStationEntry(ModbusEntry):
     """The part station; presenting takes no longer than `present_s`."""
 
@@ -291,6 +297,7 @@ class Devices(Section):
     chuck: Annotated[PlainEntry | ModbusStrokeEntry, BY_KIND]
     camera_park: Annotated[PlainEntry | ModbusStrokeEntry, BY_KIND]
     nut_feeder: Annotated[PlainEntry | ModbusStrokeEntry, BY_KIND]
+    tool_enable: Annotated[PlainEntry | ModbusEnableEntry, BY_KIND]
     gap_probe_1: Annotated[PlainEntry | ModbusEntry, BY_KIND]
     gap_probe_2: Annotated[PlainEntry | ModbusEntry, BY_KIND]
     gap_probe_3: Annotated[PlainEntry | ModbusEntry, BY_KIND]

@@ -11,8 +11,8 @@ import contextlib
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import Any, TypeVar
 
-from hal.errors import CellError, DeviceError, DeviceRefused, SafetyOpen
-from hal.interfaces import Axis, CameraPark, Chuck, Device, ForceGuard, SafetyInputs
+from hal.errors import CellError, DeviceError, DeviceFault, DeviceRefused, SafetyOpen
+from hal.interfaces import Axis, CameraPark, Chuck, Device, ForceGuard, SafetyInputs, ToolEnable
 from hal.latch import Latch
 from hal.permits import NEEDED, AxisName, PermitLimits, Readings, Target, camera_refusal, motion_refusal, safety_refusal
 
@@ -33,6 +33,7 @@ class Permits:
         chuck: Chuck,
         camera_park: CameraPark,
         safety: SafetyInputs,
+        tool_enable: ToolEnable,
         guard: ForceGuard,
         limits: PermitLimits,
         latch: Latch,
@@ -41,6 +42,7 @@ class Permits:
         self._chuck = chuck
         self._camera_park = camera_park
         self._safety = safety
+        self._tool_enable = tool_enable
         self._guard = guard
         self._limits = limits
         self.latch = latch
@@ -59,6 +61,16 @@ class Permits:
         """The error that powering `device` meets now, or None."""
         readings = await self._read("", None)
         return _error(device, readings, safety_refusal(readings.safety))
+
+    async def tools(self, gun: str) -> CellError | None:
+        """The error that turning `gun` meets now, or None."""
+        if refused := await self.power(gun):
+            return refused
+        state = (await _answers({"enable": self._tool_enable.read}, self._limits.read_s))["enable"]
+        if state is not None and state.enabled:
+            return None
+        reason = state.reason if state is not None else "unknown"
+        return DeviceFault(f"the tool enable is off: {reason}", device=gun)
 
     async def _read(self, name: str, moving: Axis | None) -> Readings:
         asked: dict[str, Callable[[], Awaitable[Any]]] = {} if moving is None else {"axis": moving.read}

@@ -22,6 +22,8 @@ class Latch:
     def __init__(self) -> None:
         self._reasons: dict[Holder, str] = {}
         self._running: dict[asyncio.Task[Any], str] = {}
+        self.on_close: Callable[[str], None] = lambda reason: None
+        """Hears the reason whenever somebody closes it."""
 
     @property
     def closed(self) -> bool:
@@ -31,6 +33,7 @@ class Latch:
     def close(self, holder: Holder, reason: str) -> None:
         """Refuse every command from now on; the first reason of a holder stays."""
         self._reasons.setdefault(holder, reason)
+        self.on_close(reason)
 
     def open(self, holder: Holder) -> None:
         """Take this holder's reason away; other reasons stay."""

@@ -110,18 +110,22 @@ class PermittedCameraPark(_Delegate[CameraPark]):
 
 
 class PermittedGun(_Delegate[Gun]):
-    """A gun that turns only while the latch is open and the safety inputs are closed."""
+    """A gun that turns only while the latch is open, the safety inputs are closed and the tool enable is on."""
 
     async def turn(self, angle_deg: float, *, speed_rpm: float, torque_limit_nm: float) -> TurnResult:
-        return await self._powered(
+        return await self._enabled(
             lambda: self._inner.turn(angle_deg, speed_rpm=speed_rpm, torque_limit_nm=torque_limit_nm)
         )
 
     async def tighten(self, key: str, program: TighteningProgram) -> TighteningResult:
-        return await self._powered(lambda: self._inner.tighten(key, program))
+        return await self._enabled(lambda: self._inner.tighten(key, program))
 
     async def result(self, key: str) -> TighteningResult | None:
         return await self._inner.result(key)
+
+    async def _enabled(self, command: Callable[[], Coroutine[Any, Any, T]]) -> T:
+        permits = self._permits
+        return await perform(self._inner, permits.latch, lambda: permits.tools(self.name), command)
 
 
 class PermittedHeater(_Delegate[Heater]):

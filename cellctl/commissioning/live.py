@@ -94,6 +94,11 @@ async def nut_feeder(cell: Cell, name: str) -> Live:
     return Live({"nuts": await cell.nut_feeder.count()})
 
 
+async def tool_enable(cell: Cell, name: str) -> Live:
+    """Whether the guns may turn. Until the cell is re-armed they may not, and nothing is wrong."""
+    return Live({"enabled": (await cell.tool_enable.read()).enabled})
+
+
 async def safety(cell: Cell, name: str) -> Live:
     """The mirror of the hard-wired circuit; None is unknown."""
     state = await cell.safety.read()
@@ -112,6 +117,7 @@ LIVE: Mapping[str, Callable[[Cell, str], Awaitable[Live]]] = MappingProxyType(
         "chuck": chuck,
         "camera_park": camera_park,
         "nut_feeder": nut_feeder,
+        "tool_enable": tool_enable,
         "safety": safety,
     }
 )

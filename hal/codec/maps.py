@@ -75,6 +75,10 @@ FEEDER_IN = Bits("inputs", 2, (*COUPLER_BITS, "guns_back", "out_a", "out_b", "nu
 FEEDER_COUNT = Scaled("nuts", 3)
 FEEDER = Block((FEEDER_OUT, IO_WATCHDOG_S, FEEDER_IN, FEEDER_COUNT))
 
+ENABLE_OUT = Bits("outputs", 0, ("tools",))
+ENABLE_IN = Bits("inputs", 2, COUPLER_BITS)
+ENABLE = Block((ENABLE_OUT, IO_WATCHDOG_S, ENABLE_IN))
+
 # Mirror of the safety circuit: two channels each; the counter of the safety controller grows ten times a second.
 SAFETY_PAIRS = ("estop", "guards", "sto")
 SAFETY_IN = Bits(

@@ -85,6 +85,10 @@ _FEEDER = _COMMON | {
     "missing_nut": _kind("optional", "joint", "a load brings no nut"),
     "miscount": _kind("needed", "1", "the counter is off by the value"),
 }
+_ENABLE = _COMMON | {
+    "dropped": _kind("none", "", "the coupler drops the output"),
+    "not_taken": _kind("none", "", "the output does not switch on"),
+}
 _SAFETY = _COMMON | {
     "estop": _kind("none", "", "emergency stop pressed"),
     "guard_open": _kind("none", "", "a guard door is open"),
@@ -112,7 +116,7 @@ DEVICE_KINDS: Mapping[str, Mapping[str, Kind]] = MappingProxyType(
     | dict.fromkeys(("spigot_tc_1", "spigot_tc_2", "rotor_tc"), _COMMON | _READING)
     | {"pyrometer": _PYROMETER, "heater": _HEATER, "chuck": _CHUCK, "camera_park": _PARK, "nut_feeder": _FEEDER}
     | dict.fromkeys(("gap_probe_1", "gap_probe_2", "gap_probe_3"), _COMMON | _READING)
-    | {"safety": _SAFETY, "part_station": _STATION, "scanner": _SCANNER}
+    | {"tool_enable": _ENABLE, "safety": _SAFETY, "part_station": _STATION, "scanner": _SCANNER}
 )
 """Kinds by device, by the names of the cell file."""
 

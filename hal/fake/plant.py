@@ -12,6 +12,7 @@ How a fake uses it (always `advance` first; time is the event loop's)::
     plant.rotor, plant.shaft, plant.cell              # RotorTruth, ShaftTruth, CellTruth (features, axes errors)
     plant.load_parts("R-1", "S-1")                    # other parts, drawn from seed and serial numbers
     plant.bare, plant.probe_mm(0)                     # a fixture (hal.fake.fixtures) in place of both parts
+    plant.set_tools(enabled=False), plant.on_tools(callback)   # the output without which no gun turns
     plant.set_chuck(clamped=True), plant.turn_shaft(0.01)      # shaft turned in its chuck by reaction torque, deg
     plant.camera = "parked" | "rotor" | "shaft" | "moving"     # where the camera's arm is
     plant.thermal, plant.joints                       # heat and nuts, see hal.fake.slots
@@ -81,11 +82,13 @@ class Plant:
         self.cell = draw_cell(self.bench, self.numbers, settings.seed)
         self.camera: CameraPlace = "parked"
         self.chuck_clamped = True
+        self.tools_enabled = True
         self.thermal: ThermalTruth = Isothermal(self.numbers.properties.ambient_c, lambda: self.shaft)
         self.joints: JointsTruth = Loose(geometry.count)
         self.damages: list[str]
         self.engagement: Engagement
         self._listeners: list[Callable[[], None]] = []
+        self._tool_listeners: list[Callable[[], None]] = []
         self.rotor: RotorTruth
         self.shaft: ShaftTruth
         self.load_parts("rotor-0", "shaft-0")
@@ -326,6 +329,16 @@ class Plant:
     def set_chuck(self, *, clamped: bool) -> None:
         """Clamp or open the chuck."""
         self.chuck_clamped = clamped
+
+    def set_tools(self, *, enabled: bool) -> None:
+        """Let the guns turn, or stop them where they are."""
+        self.tools_enabled = enabled
+        for listener in self._tool_listeners:
+            listener()
+
+    def on_tools(self, listener: Callable[[], None]) -> None:
+        """Call `listener` whenever the guns are let turn or stopped."""
+        self._tool_listeners.append(listener)
 
     def turn_shaft(self, angle_deg: float) -> None:
         """Turn the shaft in its chuck about the table's axis."""

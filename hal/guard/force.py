@@ -22,6 +22,10 @@ LOOK_S = 0.005
 """Between two looks at the ring; whoever must be faster is in the guard itself."""
 
 
+JACK_FORCE = "jack_force"
+"""What the guard knows it by."""
+
+
 class RingForceSensor:
     """The guard does what is asked of the amplifier; nothing is asked for a sample."""
 
@@ -41,7 +45,7 @@ class RingForceSensor:
         if self._ring is None:
             await self._link.reached()
         try:
-            identity = Identity(**await self._link.call("connect"))
+            identity = Identity(**await self._link.call("connect", device=JACK_FORCE))
             self._follow()
         except BaseException:
             if self._ring is None:
@@ -59,17 +63,17 @@ class RingForceSensor:
     async def halt(self) -> None:
         """Nothing moves here; the exchange proves that the amplifier answers."""
         self._require("halt")
-        await self._link.call("halt")
+        await self._link.call("halt", device=JACK_FORCE)
 
     async def safe(self) -> SafeState:
         """Safe once it answers."""
         self._require("safe")
-        return SafeState(**await self._link.call("safe"))
+        return SafeState(**await self._link.call("safe", device=JACK_FORCE))
 
     async def rearm(self) -> None:
         """A stream that was ended is started again."""
         self._require("rearm")
-        await self._link.call("rearm")
+        await self._link.call("rearm", device=JACK_FORCE)
 
     async def block(self, count: int, *, low_n: float = -math.inf, high_n: float = math.inf) -> ForceBlock:
         """See `hal.interfaces.ForceSensor.block`. Raises what is wrong with the line, NotConnected (no guard)."""

@@ -18,7 +18,7 @@ from hal.bus.ears import Ears, Listener
 from hal.codec import guard as wire
 from hal.codec.guard import GuardMessageError, Kind
 from hal.codec.lawicel import CanFrame
-from hal.errors import DeviceError, DeviceTimeout, NotConnected
+from hal.errors import CellError, DeviceError, DeviceTimeout, NotConnected, SafetyOpen
 from hal.guard.child import GuardChild
 from hal.guard.gate import may_pass
 
@@ -31,7 +31,11 @@ TICK_S = 0.05
 """Between two looks at what is overdue."""
 ANSWER_S = 3.0
 """A call must have its answer by then."""
-_ERRORS = {one.code: one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, DeviceError)}
+_ERRORS = {
+    one.code: one
+    for one in vars(errors).values()
+    if isinstance(one, type) and issubclass(one, DeviceError | SafetyOpen)
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,14 +53,16 @@ class Told:
     time_s: float
     bus: str
     sensor: tuple[str, str] | None
+    tools: str
+    """Why the guns may not turn; empty while they may."""
 
     @property
-    def sensor_error(self) -> DeviceError | None:
+    def sensor_error(self) -> CellError | None:
         """What is wrong with the force sensor."""
         return error_of(*self.sensor) if self.sensor else None
 
 
-def error_of(code: str, reason: str, device: str = "jack_force") -> DeviceError:
+def error_of(code: str, reason: str, device: str = "jack_force") -> CellError:
     """The error of that code."""
     return _ERRORS.get(code, DeviceError)(reason, device=device)
 
@@ -174,7 +180,7 @@ class GuardLink:
                 if asked is None or asked.done():
                     return
                 if "error" in values:
-                    asked.set_exception(error_of(values["error"], values["reason"]))
+                    asked.set_exception(error_of(values["error"], values["reason"], values["device"]))
                 else:
                     asked.set_result(values["is"])
             case Kind.STATE:
@@ -225,7 +231,8 @@ class GuardLink:
             async with asyncio.timeout(ANSWER_S):
                 return await asked
         except TimeoutError:
-            raise DeviceTimeout(f"no answer to {do} within {ANSWER_S:g} s", device="guard") from None
+            device = str(values.get("device", "guard"))
+            raise DeviceTimeout(f"the guard gives no answer to {do} within {ANSWER_S:g} s", device=device) from None
         finally:
             del self._asked[tag]
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from hal.bus.can import CanBus
+from hal.bus.modbus import Lines
 from hal.codec import guard as wire
 from hal.codec.cia301 import HEARTBEAT, RPDO1, SDO_REQUEST, heartbeat, pack
 from hal.codec.cia402 import CONTROLWORD, LAYOUTS, MODE, QUICK_STOP, Mode
@@ -23,8 +24,9 @@ from hal.codec.guard import Kind
 from hal.codec.lawicel import CanFrame
 from hal.codec.sdo import download
 from hal.config import CellConfig
-from hal.entries import CanAxisEntry, CanEntry, ForceLineEntry
-from hal.errors import CellError, DeviceError, NotConnected
+from hal.entries import CanAxisEntry, CanEntry, ForceLineEntry, ModbusEnableEntry
+from hal.errors import CellError, DeviceError, NotConnected, SafetyOpen
+from hal.guard.enable import EnableKeeper
 from hal.guard.files import ring_beside
 from hal.guard.heartbeat import BEATS
 from hal.guard.logic import Trip
@@ -33,6 +35,7 @@ from hal.guard.sentry import Sentry
 from hal.guard.server import Server
 from hal.interfaces import ForceBlock, GuardLimits
 from hal.real.force import SerialForceSensor
+from hal.real.modbus_devices import beside, modbus_device
 
 RETRY_S = 0.2
 """Between two attempts to have the sensor or the adapter back."""
@@ -64,6 +67,10 @@ class GuardProcess:
         path = entry.model_copy(update={"path": str(config.beside(entry.path))})
         self._sensor = SerialForceSensor("jack_force", path, self._samples)
         self._sensor_error: DeviceError | None = NotConnected("not connected yet", device="jack_force")
+        self._enable = self._keeper(config)
+        self._devices: dict[str, Any] = {"jack_force": self._sensor}
+        if self._enable is not None:
+            self._devices["tool_enable"] = self._enable
         socket = config.beside(config.guard.socket)
         socket.parent.mkdir(parents=True, exist_ok=True)
         self.server = Server(socket, self._came, self._left, self._message)
@@ -73,6 +80,14 @@ class GuardProcess:
         self._tasks: set[asyncio.Task[None]] = set()
         self._timer: asyncio.TimerHandle | None = None
         self._next_cycle: asyncio.TimerHandle | None = None
+
+    def _keeper(self, config: CellConfig) -> EnableKeeper | None:
+        """Of the output that lets the guns turn, where it has a wire."""
+        entry = config.devices.tool_enable
+        if not isinstance(entry, ModbusEnableEntry):
+            return None
+        output = modbus_device("tool_enable", beside(config, entry), Lines())
+        return EnableKeeper(output, lambda: self.sentry.trip.reason if self.sentry.trip else "", entry.watchdog_s)
 
     async def start(self) -> None:
         """Listen, and have adapter and sensor as soon as they are there. Raises OSError: the socket cannot be had."""
@@ -93,6 +108,8 @@ class GuardProcess:
             task.cancel()
         if self._tasks:
             await asyncio.wait(self._tasks)
+        if self._enable is not None:
+            await self._enable.close()
         await self._sensor.close()
         self._ring.close()
 
@@ -146,7 +163,8 @@ class GuardProcess:
         self._tell()
 
     def _stop(self) -> None:
-        """Quick stop to every drive, the jack's first; by SDO as well, for one that takes no PDOs just now."""
+        """Quick stop to every drive, the jack's first; by SDO as well, for one that takes no PDOs just now. Then the
+        guns."""
         word = pack(LAYOUTS[RPDO1], {CONTROLWORD: QUICK_STOP, MODE: Mode.PROFILE_POSITION})
         written = next(download(CONTROLWORD.index, CONTROLWORD.sub, CONTROLWORD.encode(QUICK_STOP)))
         with contextlib.suppress(NotConnected):  # then they stop for want of a heartbeat
@@ -154,6 +172,8 @@ class GuardProcess:
                 self._bus.send(CanFrame(RPDO1 + node, word))
             for node in self._nodes:
                 self._bus.send(CanFrame(SDO_REQUEST + node, written))
+        if self._enable is not None:
+            self._enable.fall("the guard has tripped")
 
     # ------------------------------------------------------------ time
 
@@ -229,30 +249,35 @@ class GuardProcess:
                 self._tell()
                 self._answer(tag, NotConnected(f"{refused} {self._bus.trouble}".strip()) if refused else None)
             case _:
-                self._spawn(self._sensor_call(tag, do))
+                self._spawn(self._device_call(tag, do, str(values["device"])))
 
-    async def _sensor_call(self, tag: int, do: str) -> None:
+    async def _device_call(self, tag: int, do: str, name: str) -> None:
+        """What the controller does with a device that is the guard's."""
+        device = self._devices[name]
         try:
             match do:
                 case "connect":
-                    identity = await self._sensor.connect()
-                    self._sensor_error = None
+                    identity = await device.connect()
+                    if device is self._sensor:
+                        self._sensor_error = None
                     self._tell()
                     self._answer(tag, **dataclasses.asdict(identity))
                 case "safe":
-                    self._answer(tag, **dataclasses.asdict(await self._sensor.safe()))
+                    self._answer(tag, **dataclasses.asdict(await device.safe()))
                 case "halt":
-                    await self._sensor.halt()
+                    await device.halt()
+                    self._tell()
                     self._answer(tag)
                 case "rearm":
-                    await self._sensor.rearm()
+                    await device.rearm()
+                    self._tell()
                     self._answer(tag)
-        except DeviceError as error:
+        except (DeviceError, SafetyOpen) as error:
             self._answer(tag, error)
 
     def _answer(self, tag: int, error: CellError | None = None, **values: Any) -> None:
-        told = {"tag": tag, "error": error.code, "reason": error.reason} if error else {"tag": tag, "is": values}
-        self.server.send(wire.encode_object(Kind.ANSWER, told))
+        wrong = {"error": error.code, "reason": error.reason, "device": error.device} if error else {"is": values}
+        self.server.send(wire.encode_object(Kind.ANSWER, {"tag": tag} | wrong))
 
     def _tell(self) -> None:
         """What the guard knows; then the answers to those who wait for a first sample, or for a trip."""
@@ -262,6 +287,7 @@ class GuardProcess:
             "force_n": sentry.trip.force_n if sentry.trip else math.nan,
             "bus": self._bus.trouble,
             "sensor": [error.code, error.reason] if error else None,
+            "tools": self._enable.state().reason if self._enable else "",
         }
         self.server.send(wire.encode_object(Kind.STATE, told))
         if self._arming and (sentry.trip is not None or sentry.proven or not sentry.armed):

@@ -21,20 +21,19 @@ from hal.entries import (
     GunEntry,
     ModbusEntry,
 )
-from hal.interfaces import ForceSensor
 from hal.real.axes import CanAxis
 from hal.real.force import SerialForceSensor
 from hal.real.gentl import GentlScanner
-from hal.real.modbus_devices import modbus_device
+from hal.real.modbus_devices import beside, modbus_device
 from hal.real.scanner import FileDropScanner
 
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """What is behind a guard process: the drives' bus and the jack's force."""
+    """What is behind a guard process: the drives' bus, and by their names the devices that it owns."""
 
     link: Link
-    jack_force: ForceSensor
+    devices: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +56,13 @@ def real_devices(config: CellConfig, guarded: Guarded | None = None) -> RealDevi
     devices: dict[str, Any] = {}
     for name, entry in config.entries.items():
         match entry:
+            case _ if guarded and name in guarded.devices:
+                devices[name] = guarded.devices[name]
             case CanAxisEntry():
                 assert link is not None and config.can is not None, "the cell file was checked"
                 devices[name] = CanAxis(name, AXIS_UNITS[name], entry, link, controller=config.can.node)
             case GunEntry():
                 devices[name] = pkgutil.resolve_name(entry.backend)(name, entry)
-            case ForceLineEntry() if guarded and name == "jack_force":
-                devices[name] = guarded.jack_force
             case ForceLineEntry():
                 path = str(config.beside(entry.path))
                 devices[name] = SerialForceSensor(name, entry.model_copy(update={"path": path}))
@@ -73,13 +72,8 @@ def real_devices(config: CellConfig, guarded: Guarded | None = None) -> RealDevi
             case GentlEntry():
                 devices[name] = GentlScanner(name, _producer(config, entry))
             case ModbusEntry():
-                devices[name] = modbus_device(name, _beside(config, entry), lines)
+                devices[name] = modbus_device(name, beside(config, entry), lines)
     return RealDevices(devices, can)
-
-
-def _beside(config: CellConfig, entry: ModbusEntry) -> ModbusEntry:
-    """A serial port is named relative to the cell file."""
-    return entry.model_copy(update={"port_path": str(config.beside(entry.port_path))}) if entry.port_path else entry
 
 
 def _producer(config: CellConfig, entry: GentlEntry) -> GentlEntry:

@@ -30,7 +30,7 @@ class Terminal(io.StringIO):
 def test_devices_of_a_fake_cell(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["devices", "--cell", str(root / FAKE), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["devices"]
-    assert len(told) == 25
+    assert len(told) == 26
     assert {one["error"] for one in told} == {""}
     jack = next(one for one in told if one["name"] == "jack")
     assert jack["identity"]["serial"] == "jack-1"
@@ -41,7 +41,7 @@ def test_devices_as_a_table(root: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert main(["devices", "--cell", str(root / FAKE)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[:4] == ["device", "kind", "address", "identity"]
-    assert lines[-1] == "25 of 25 devices answer"
+    assert lines[-1] == "26 of 26 devices answer"
     assert any(line.startswith("jack_force") and " N" in line for line in lines)
 
 
@@ -53,7 +53,7 @@ def test_devices_that_are_not_there(root: Path, tmp_path: Path, capsys: pytest.C
     cell.write_text(text.replace('"calibration.fake.toml"', f'"{root}/deploy/calibration.fake.toml"'), encoding="utf-8")
     assert main(["devices", "--cell", str(cell)]) == 3
     out = capsys.readouterr().out
-    assert "24 of 25 devices answer" in out
+    assert "25 of 26 devices answer" in out
     assert "FAILED" in next(line for line in out.splitlines() if line.startswith("scanner"))
 
 
@@ -104,7 +104,7 @@ def test_a_watch_prints_again_and_again(root: Path, capsys: pytest.CaptureFixtur
         await asyncio.gather(watching, return_exceptions=True)
 
     run_virtual(case())
-    assert capsys.readouterr().out.count("25 of 25 devices answer") == 4
+    assert capsys.readouterr().out.count("26 of 26 devices answer") == 4
 
 
 def test_a_jog_says_what_it_does(root: Path) -> None:

@@ -61,7 +61,7 @@ def test_modbus_tcp(tmp_path: Path) -> None:
             assert request is not None
             units.add(request.unit)
             rest = rest[used:]
-        assert units == {1, 2, 3, 4, 5, 6, 7, 8}
+        assert units == {1, 2, 3, 4, 5, 6, 7, 8, 9}
 
     on_wires(tmp_path, case)
 

@@ -164,6 +164,7 @@ BACKENDS: Mapping[str, tuple[Backend, ...]] = MappingProxyType(
             WireBackend(wire_gentl.installed, "gentl", speed=10.0),
         ),
         "test_thermometer": (FAKE, _MODBUS, _MODBUS_RTU),
+        "test_tool_enable": (FAKE, _MODBUS),
     }
 )
 """By test file, where there are others than the fakes; each has a module `wire_...` of its own beside this one."""

@@ -15,6 +15,8 @@ EVERY = pytest.mark.parametrize("name", DEVICES)
 COMMANDS = ("halt", "safe", "rearm")
 START_S = 5.0
 """Faults begin here: the link is up by then, on a wire too."""
+GONE_S = 0.4
+"""A link that is down shows at once; on a bus, where there is none, with the heartbeat that does not come."""
 EXCHANGES = 3
 """A halt has no more of them, its read-back included."""
 
@@ -62,7 +64,7 @@ def test_gone_it_fails_at_once(backend: Backend, name: str, command: str) -> Non
             asked_s = loop.time()
             with pytest.raises(NotConnected, match=name):
                 await getattr(bench.device, command)()
-            assert loop.time() == pytest.approx(asked_s, abs=0.1)
+            assert loop.time() <= asked_s + GONE_S
 
     backend.run(main())
 

@@ -13,7 +13,7 @@ from cellctl.recipe import load_recipe
 from hal.cell import Cell, build_cell
 from hal.config import load_cell
 from hal.fake.wire.gun_memory import TurnProgram
-from hal.interfaces import GuardLimits
+from hal.interfaces import GuardLimits, Gun
 
 RECIPE = Path(__file__).parents[2] / "recipes" / "lpt_shaft_36.toml"
 SPEED = {"stage_x": 5.0, "stage_y": 5.0, "shaft_table": 10.0, "gun_table": 60.0}
@@ -42,7 +42,8 @@ async def main(path: Path) -> None:
                 group.create_task(_to_and_fro(cell, name))
             group.create_task(_jack(cell, limits))
             group.create_task(_heat(cell))
-            group.create_task(_turn(cell))
+            group.create_task(_turn(cell.gun_a))
+            group.create_task(_turn(cell.gun_b))
             group.create_task(_read(cell))
             print("ready", flush=True)
     finally:
@@ -67,11 +68,11 @@ async def _heat(cell: Cell) -> None:
     await _always(cell.heater.read)
 
 
-async def _turn(cell: Cell) -> None:
+async def _turn(gun: Gun) -> None:
     """The way in which threads are searched; the gun's controller knows it from the recipe."""
     turn = next(one for one in programs_of(load_recipe(RECIPE).tighten) if isinstance(one, TurnProgram))
     numbers = {"speed_rpm": turn.speed_rpm, "torque_limit_nm": turn.torque_limit_nm}
-    await _always(lambda: cell.gun_a.turn(turn.angle_deg, **numbers))
+    await _always(lambda: gun.turn(turn.angle_deg, **numbers))
 
 
 async def _read(cell: Cell) -> None:

@@ -52,12 +52,13 @@ NO_PORTS: Mapping[int, int] = MappingProxyType({})
 
 @dataclass(slots=True)
 class Seen:
-    """When each axis stood for good, after the signal; how far the jack sank afterwards; when heat and outputs went."""
+    """When each axis stood for good, after the signal; how far the jack sank; when heat, outputs and guns went."""
 
     rest_s: dict[str, float] = field(default_factory=dict)
     drop_mm: float = 0.0
     heater_s: float = 0.0
     outputs_s: float = 0.0
+    guns_s: float = 0.0
     moved_again: str = ""
 
 
@@ -158,6 +159,8 @@ async def _watched(config: CellConfig, plant: Plant, stand: Stand, victim: Victi
             seen.heater_s = after_s
         if any(part.words[part.out.at] for part in couplers):
             seen.outputs_s = after_s
+        if plant.tools_enabled or any(gun.turning for gun in stand.guns.values()):
+            seen.guns_s = after_s
         await asyncio.sleep(LOOK_S)
     return seen
 
@@ -200,6 +203,10 @@ def _wrong(config: CellConfig, seen: Seen, victim: Victim) -> list[str]:
         wrong.append(f"the heater is on for {seen.heater_s:.2f} s (limit {limit_s:g} s)")
     if victim == "controller" and seen.outputs_s > (limit_s := config.devices.chuck.watchdog_s + 0.5):
         wrong.append(f"outputs are set for {seen.outputs_s:.2f} s (limit {limit_s:g} s)")
+    enable = config.devices.tool_enable
+    guard_s = config.guard.quiet_ms * 1e-3 + config.consumer_s  # a guard that lives is quicker than the watchdog
+    if seen.guns_s > (limit_s := (enable.watchdog_s if victim == "guard" else guard_s) + DESK_S):
+        wrong.append(f"the guns may turn for {seen.guns_s:.2f} s (limit {limit_s:.2f} s)")
     if seen.moved_again:
         wrong.append(f"{seen.moved_again} moved again when the {victim} went on")
     return wrong

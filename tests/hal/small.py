@@ -9,11 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from hal.errors import DeviceRefused, Interrupted
+from hal.errors import DeviceFault, DeviceRefused, Interrupted
 from hal.interfaces import (
     AxisLimits,
     AxisState,
     ChuckState,
+    EnableState,
     ForceBlock,
     Identity,
     ParkState,
@@ -109,6 +110,39 @@ class SmallAxis(SmallDevice):
     async def safe(self) -> SafeState:
         await self.exchange()
         return SafeState(not self.state.moving, "moving" if self.state.moving else "stands")
+
+
+class SmallToolEnable(SmallDevice):
+    """An output as `hal.interfaces.EnableOutput` wants it; `enabled` and `fallen` are its switches."""
+
+    def __init__(self, *, enabled: bool = True) -> None:
+        super().__init__("tool_enable")
+        self.enabled = enabled
+        self.fallen = ""
+        self.asked = 0
+
+    async def allow(self) -> None:
+        self.asked += 1
+        await self.exchange()
+        if self.fallen:
+            raise DeviceFault(self.fallen, device=self.name)
+        self.enabled = True
+
+    async def read(self) -> EnableState:
+        await self.exchange()
+        return EnableState(self.enabled, "" if self.enabled else "off", 0.0)
+
+    async def halt(self) -> None:
+        await super().halt()
+        self.enabled, self.fallen = False, ""
+
+    async def rearm(self) -> None:
+        await super().rearm()
+        self.enabled, self.fallen = False, ""
+
+    async def safe(self) -> SafeState:
+        await self.exchange()
+        return SafeState(not self.enabled, "on" if self.enabled else "off")
 
 
 class SmallForce(SmallDevice):

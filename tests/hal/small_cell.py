@@ -12,7 +12,7 @@ from hal.interlocks import Permits
 from hal.latch import Latch
 from hal.permits import AxisName, PermitLimits
 from hal.permitted import PermittedAxis, PermittedCameraPark, PermittedChuck
-from tests.hal.small import SmallAxis, SmallChuck, SmallDevice, SmallForce, SmallPark, SmallSafety
+from tests.hal.small import SmallAxis, SmallChuck, SmallDevice, SmallForce, SmallPark, SmallSafety, SmallToolEnable
 
 NAMES: tuple[AxisName, ...] = ("stage_x", "stage_y", "jack", "shaft_table", "gun_table", "gun_feed")
 LIMITS = PermitLimits(view_safe_mm=20.0, free_mm=360.0, guns_back_mm=1.0, pressure_low_bar=4.0)
@@ -24,6 +24,7 @@ class SmallCell:
     def __init__(self) -> None:
         self.axes = {name: SmallAxis(name) for name in NAMES}
         self.force, self.chuck, self.park, self.safety = SmallForce(), SmallChuck(), SmallPark(), SmallSafety()
+        self.tool_enable = SmallToolEnable()
         self.bare: dict[str, SmallDevice] = {
             **{name: SmallDevice(name) for name in Devices.model_fields},
             **self.axes,
@@ -31,13 +32,15 @@ class SmallCell:
             "chuck": self.chuck,
             "camera_park": self.park,
             "safety": self.safety,
+            "tool_enable": self.tool_enable,
         }
         self.latch = Latch()
         self.guard = InLoopGuard(
             self.force, list(self.axes.values()), self.latch, idle_block=500, idle_stale_s=0.05, halt_deadline_s=0.1
         )
         axes: dict[AxisName, Axis] = {**self.axes}
-        permits = Permits(axes, self.chuck, self.park, self.safety, self.guard, LIMITS, self.latch)
+        looked_at = (self.chuck, self.park, self.safety, self.tool_enable)
+        permits = Permits(axes, *looked_at, self.guard, LIMITS, self.latch)
         permitted: dict[str, Any] = {name: PermittedAxis(name, self.axes[name], permits, 0.02) for name in NAMES}
         permitted["camera_park"] = PermittedCameraPark(self.park, permits)
         permitted["chuck"] = PermittedChuck(self.chuck, permits)

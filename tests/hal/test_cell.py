@@ -41,7 +41,7 @@ def test_connecting_names_every_device_that_failed() -> None:
             await small.cell.connect()
         assert set(caught.value.failures) == {"heater", "gun_b", "scanner"}
         for text in (
-            "3 of 25 devices did not connect",
+            "3 of 26 devices did not connect",
             "heater: no link",
             "gun_b: did not connect within 5 s",
             "a bug",
@@ -166,7 +166,7 @@ def test_rearming_needs_closed_safety_inputs_and_every_device() -> None:
             await small.cell.rearm()
         small.safety.state = GOOD_SAFETY
         small.bare["gun_a"].error = NotConnected("no link", device="gun_a")
-        with pytest.raises(CellFailure, match="1 of 25 devices did not re-arm: gun_a"):
+        with pytest.raises(CellFailure, match="1 of 26 devices did not re-arm: gun_a"):
             await small.cell.rearm()
         assert small.latch.closed
         small.bare["gun_a"].error = None

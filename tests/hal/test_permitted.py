@@ -18,7 +18,7 @@ from hal.interlocks import WATCH_S, Permits
 from hal.latch import Latch
 from hal.permits import AxisName, PermitLimits
 from hal.permitted import PermittedAxis, PermittedCameraPark, PermittedChuck
-from tests.hal.small import GOOD_SAFETY, SmallAxis, SmallChuck, SmallForce, SmallPark, SmallSafety
+from tests.hal.small import GOOD_SAFETY, SmallAxis, SmallChuck, SmallForce, SmallPark, SmallSafety, SmallToolEnable
 
 NAMES: tuple[AxisName, ...] = ("stage_x", "stage_y", "jack", "shaft_table", "gun_table", "gun_feed")
 LIMITS = PermitLimits(view_safe_mm=20.0, free_mm=360.0, guns_back_mm=1.0, pressure_low_bar=4.0)
@@ -36,7 +36,8 @@ class Bench:
             self.sensor, list(self.bare.values()), self.latch, idle_block=500, idle_stale_s=0.05, halt_deadline_s=0.1
         )
         axes: dict[AxisName, Axis] = {**self.bare}
-        permits = Permits(axes, self.chuck, self.park, self.safety, self.guard, LIMITS, self.latch)
+        looked_at = (self.chuck, self.park, self.safety, SmallToolEnable())
+        permits = Permits(axes, *looked_at, self.guard, LIMITS, self.latch)
         self.axes = {name: PermittedAxis(name, self.bare[name], permits, 0.02) for name in NAMES}
         self.camera = PermittedCameraPark(self.park, permits)
         self.clamp = PermittedChuck(self.chuck, permits)

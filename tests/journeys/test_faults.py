@@ -26,6 +26,7 @@ QUICK = (
     "jack_force_nan", "jack_force_stuck", "jack_hung", "nut_feeder_missing_nut", "part_station_wrong_serial",
     "pyrometer_wrong_emissivity", "safety_bench_moved", "safety_estop", "scanner_half_frame", "scanner_old_frame",
     "scanner_wrong_unit", "shaft_table_home_lost", "spigot_tc_2_open", "stage_y_gone",
+    "tool_enable_dropped",
 )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from hal.fake.devices.heating import FakeHeater, FakeThermometer
 from hal.fake.devices.io import FakeGapProbe, FakeSafety
 from hal.fake.devices.scanner import FakeScanner, Render
 from hal.fake.devices.supply import FakeNutFeeder, FakePartStation
+from hal.fake.devices.tool_enable import FakeToolEnable
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.interfaces import AxisLimits
@@ -58,6 +59,7 @@ def fake_devices(
         "chuck": lambda name: FakeChuck(name, plant, faults),
         "camera_park": lambda name: FakeCameraPark(name, plant, faults),
         "nut_feeder": lambda name: FakeNutFeeder(name, plant, faults),
+        "tool_enable": lambda name: FakeToolEnable(name, plant, faults),
         **dict.fromkeys(("gap_probe_1", "gap_probe_2", "gap_probe_3"), lambda name: FakeGapProbe(name, plant, faults)),
         "safety": lambda name: FakeSafety(name, plant, faults),
         "part_station": lambda name: FakePartStation(name, plant, faults),

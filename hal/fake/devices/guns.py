@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
-from hal.errors import ConfigError, DeviceRefused, Interrupted, SafetyOpen, UnknownOutcome
+from hal.errors import ConfigError, DeviceFault, DeviceRefused, Interrupted, SafetyOpen, UnknownOutcome
 from hal.fake.devices.io import IoDevice, Stroke
 from hal.fake.faults import FaultBook
 from hal.fake.joints.gun_memory import GunMemory, GunName
@@ -31,9 +31,11 @@ class FakeGun(IoDevice):
             raise ConfigError("guns are gun_a and gun_b", place=f"devices.{name}")
         self._gun: GunName = "a" if name == "gun_a" else "b"
         self._stroke = Stroke()
+        plant.on_tools(self._enable_changed)
 
     async def turn(self, angle_deg: float, *, speed_rpm: float, torque_limit_nm: float) -> TurnResult:
-        """Turn slowly. Raises DeviceRefused (busy, no speed), Interrupted (halted on the way), SafetyOpen."""
+        """Turn slowly. Raises DeviceRefused (disabled, busy, no speed), Interrupted (halted on the way), SafetyOpen,
+        DeviceFault (the tool enable went off)."""
         now = await self._ready("turn", speed_rpm)
         joints = joints_of(self._plant)
         self._plant_errors(joints, now)
@@ -53,7 +55,8 @@ class FakeGun(IoDevice):
     async def tighten(self, key: str, program: TighteningProgram) -> TighteningResult:
         """Run `program` once under `key`.
 
-        Raises DeviceRefused (key was run before, busy, no speed), Interrupted, SafetyOpen, UnknownOutcome.
+        Raises DeviceRefused (disabled, key was run before, busy, no speed), Interrupted, SafetyOpen, UnknownOutcome,
+        DeviceFault (the tool enable went off).
         """
         now = await self._ready("tighten", program.speed_rpm)
         joints, memory = joints_of(self._plant), self._memory()
@@ -67,7 +70,7 @@ class FakeGun(IoDevice):
         active = joints.begin(self._gun, key, program, now, feigned=feigned)
         try:
             await self._run_for(active.end_s - now)
-        except (Interrupted, SafetyOpen):
+        except (Interrupted, SafetyOpen, DeviceFault):
             joints.stop(self._gun, self._now())
             raise
         now = self._now()
@@ -103,6 +106,8 @@ class FakeGun(IoDevice):
 
     async def _ready(self, command: str, speed_rpm: float) -> float:
         now = await self._powered(command)
+        if not self._plant.tools_enabled:
+            raise DeviceRefused("the tool enable is off", device=self.name)
         joints_of(self._plant).advance(now)
         if self._stroke.under_way or self._memory().active is not None:
             raise DeviceRefused("the spindle turns already", device=self.name)
@@ -111,7 +116,7 @@ class FakeGun(IoDevice):
         return now
 
     async def _run_for(self, seconds: float) -> None:
-        """Wait while the spindle turns. Raises Interrupted, and SafetyOpen at the moment the power is cut."""
+        """Wait while the spindle turns. Raises Interrupted, and at that very moment SafetyOpen, DeviceFault."""
         end = self._now() + seconds
         while True:
             now = self._now()
@@ -119,7 +124,18 @@ class FakeGun(IoDevice):
                 raise SafetyOpen(f"no power ({cut})", device=self.name)
             if now >= end:
                 return
-            await self._stroke.run(min(end, self._faults.next_change("safety", now)) - now, device=self.name)
+            try:
+                await self._stroke.run(min(end, self._faults.next_change("safety", now)) - now, device=self.name)
+            except Interrupted:
+                if self._plant.tools_enabled:
+                    raise
+                raise DeviceFault("the tool enable went off on the way", device=self.name) from None
+
+    def _enable_changed(self) -> None:
+        """Without its enable the spindle stops where it is, whoever waits for it."""
+        if not self._plant.tools_enabled and isinstance(self._plant.joints, Joints):
+            self._stroke.halt()
+            self._plant.joints.stop(self._gun, self._now())
 
     def _plant_errors(self, joints: Joints, now: float) -> None:
         """Errors that the fault file plants in the joint before this gun, or in the one that it names."""

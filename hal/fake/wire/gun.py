@@ -16,7 +16,7 @@ from hal.codec import open_protocol_trace as t
 from hal.codec.open_protocol import Message
 from hal.codec.open_protocol_result import old_result, result
 from hal.entries import OpenProtocolEntry
-from hal.errors import CellError, SafetyOpen, UnknownOutcome
+from hal.errors import CellError, DeviceFault, SafetyOpen, UnknownOutcome
 from hal.fake.devices.guns import FakeGun
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
@@ -28,7 +28,8 @@ from hal.interfaces import TighteningProgram
 
 START_INPUTS = (7, 8)
 RUNNING_RELAY = 26
-ESTOP_ALARM = "E504"
+ESTOP_ALARM, DISABLED_ALARM = "E504", "E505"
+"""The hard-wired circuit took the power; the external enable is off."""
 NOT_PRESENT, NOT_RUNNING, IN_USE, UNSUPPORTED, FAILED, UNKNOWN = 2, 4, 59, 73, 79, 99
 
 
@@ -55,6 +56,7 @@ class GunController:
         """Identifiers of the programs that were started, in order."""
         self.records: list[Record] = []
         self._faults = faults
+        self._plant = plant
         self._gun = FakeGun(name, plant, BehindWire(faults))
         self._programs = dict(enumerate(programs, start=1))
         self._sets = {number: memory.told(number, program) for number, program in self._programs.items()}
@@ -95,6 +97,11 @@ class GunController:
         """What a technician does: another content for parameter set `number`."""
         self._programs[number] = program
         self._sets[number] = memory.told(number, program)
+
+    @property
+    def turning(self) -> bool:
+        """Whether a program runs."""
+        return self._runs
 
     async def power_cycle(self) -> None:
         """Off and on: the program ends where it is and leaves no result; stored results stay."""
@@ -276,16 +283,18 @@ class GunController:
         return [m.numbered(m.ACCEPTED, m.INPUT_SET, 4)]
 
     def _look_at_power(self) -> bool:
-        """Whether there is power; an alarm comes when it goes, and goes when it is back."""
+        """Whether the tool may turn; an alarm comes when it may not, and goes when it may again."""
         now = asyncio.get_running_loop().time()
         cut = bool(self._faults.power_cut(now))
-        if cut and self._alarm is None:
-            self._alarm = m.Alarm(ESTOP_ALARM, controller_ready=True, tool_ready=False, stamp=memory.stamp(now))
+        stopped = cut or not self._plant.tools_enabled
+        if stopped and self._alarm is None:
+            code = ESTOP_ALARM if cut else DISABLED_ALARM
+            self._alarm = m.Alarm(code, controller_ready=True, tool_ready=False, stamp=memory.stamp(now))
             self._server.push(m.ALARM_SUBSCRIBE, m.alarm(self._alarm))
-        elif not cut and self._alarm is not None:
+        elif not stopped and self._alarm is not None:
             self._server.push(m.ALARM_SUBSCRIBE, Message(m.ALARM_GONE, self._alarm.code.encode("ascii")))
             self._alarm = None
-        return not cut
+        return not stopped
 
     def _turns(self, on: bool) -> None:
         self._runs = on
@@ -300,7 +309,7 @@ class GunController:
                 told = await self._turn(chosen, program, identifier)
             else:
                 told = await self._tighten(chosen, program, identifier)
-        except SafetyOpen:
+        except (SafetyOpen, DeviceFault):
             self._look_at_power()
         except CellError:
             pass  # halted, or refused by the metal: no result

@@ -64,6 +64,7 @@ class KducerController:
         self.server = ModbusServer(self)
         self.server.port = entry.port
         self._faults = faults
+        self._plant = plant
         self._gun = FakeGun(name, plant, BehindWire(faults))
         self._programs = dict(enumerate(programs, start=1))
         self._watchdog = Watchdog(self._let_go)
@@ -100,6 +101,11 @@ class KducerController:
     def drop(self) -> None:
         """Drop every connection; whatever runs goes on until the lever is let go of."""
         self.server.drop()
+
+    @property
+    def turning(self) -> bool:
+        """Whether a program runs."""
+        return self._runs
 
     async def power_cycle(self) -> None:
         """Off and on: the program ends where it is; last result, number and barcode are gone."""
@@ -176,7 +182,7 @@ class KducerController:
         self._set(self._holding, k.BARCODE_SET[0], [0] * k.BARCODE_SET[1])
 
     def _status(self) -> frozenset[str]:
-        stopped = self._stop or bool(self._faults.power_cut(_now()))
+        stopped = self._stop or bool(self._faults.power_cut(_now())) or not self._plant.tools_enabled
         ready = not (stopped or self._runs or self._lever)
         states = {"lever": self._lever, "forward": self._runs, "stop_motor": stopped, "ready": ready}
         return frozenset(name for name, on in states.items() if on)

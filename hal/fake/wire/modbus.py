@@ -11,7 +11,7 @@ from hal.codec.modbus import Framing
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.fake.wire.modbus_heat import HeaterPart, gap_probe, pyrometer, thermocouple
-from hal.fake.wire.modbus_io import ChuckPart, FeederPart, ParkPart, SafetyPart, StationPart
+from hal.fake.wire.modbus_io import ChuckPart, EnablePart, FeederPart, ParkPart, SafetyPart, StationPart
 from hal.fake.wire.modbus_units import Part, Unit, UnitsByNumber
 
 PARTS: Mapping[str, Callable[[Any, FaultBook, Plant], Part]] = MappingProxyType(
@@ -23,6 +23,7 @@ PARTS: Mapping[str, Callable[[Any, FaultBook, Plant], Part]] = MappingProxyType(
         "chuck": ChuckPart,
         "camera_park": ParkPart,
         "nut_feeder": FeederPart,
+        "tool_enable": EnablePart,
         "safety": SafetyPart,
         "part_station": StationPart,
     }

@@ -16,7 +16,7 @@ from hal.fake.devices.supply import GUNS_BACK_MM, Sockets
 from hal.fake.faults import FaultBook
 from hal.fake.plant import Plant
 from hal.fake.wire.modbus_units import Part, Watchdog
-from hal.interfaces import ChuckState, ParkState, SafetyState
+from hal.interfaces import ChuckState, EnableState, ParkState, SafetyState
 
 GUNS: tuple[Literal["a", "b"], ...] = ("a", "b")
 
@@ -163,6 +163,42 @@ class FeederPart(StrokePart):
         """Bring one nut."""
         load: Coroutine[Any, Any, object] = self.fake.load(output.removeprefix("slide_"))
         return load
+
+
+class EnablePart(Part):
+    """One output that stays set while it is asked for in time; it falls for silence, and with its power."""
+
+    writable = range(2)
+
+    def __init__(self, fake: Any, faults: FaultBook, plant: Plant) -> None:
+        super().__init__(fake, faults, maps.ENABLE.size)
+        self._watchdog = Watchdog(lambda: self.fake.fall("nothing was heard for too long"))
+
+    async def close(self) -> None:
+        """Off."""
+        self._watchdog.stop()
+        await super().close()
+
+    async def refresh(self) -> None:
+        """The output as the metal has it. Being asked is a sign of life."""
+        state: EnableState = await self.fake.read()
+        cut = self._faults.power_cut(asyncio.get_running_loop().time())
+        dropped = not state.enabled and bool(self.get(maps.ENABLE_OUT))
+        inputs = ({"dropped"} if dropped else set()) | (set() if cut else {"supply"})
+        self.words[maps.ENABLE_IN.at] = maps.ENABLE_IN.encode(frozenset(inputs))[0]
+        if state.enabled:
+            self._watchdog.feed(self.get(maps.IO_WATCHDOG_S))
+
+    async def written(self, at: int, before: list[int]) -> None:
+        """Set or clear the output."""
+        if at != maps.ENABLE_OUT.at:
+            await self.gate("watchdog")
+        elif self.get(maps.ENABLE_OUT):
+            await self.fake.allow()
+            self._watchdog.feed(self.get(maps.IO_WATCHDOG_S))
+        else:
+            self._watchdog.stop()
+            await self.fake.halt()
 
 
 class SafetyPart(Part):

@@ -51,6 +51,11 @@ class SimulatedGun(Protocol):
         """Drop every connection."""
         ...
 
+    @property
+    def turning(self) -> bool:
+        """Whether a program runs."""
+        ...
+
     async def power_cycle(self) -> None: ...
 
 
