@@ -139,3 +139,10 @@ def test_the_container_is_made_from_the_lock_and_runs_as_nobody(root: Path) -> N
     assert route[1] in json.loads((root / "deploy/openapi.json").read_text(encoding="utf-8"))["paths"]
     started = [*json.loads(last["ENTRYPOINT"]), *json.loads(last["CMD"])]
     assert started[:2] == ["cellctl", "serve"]
+
+
+def test_the_guard_reaches_the_coupler_that_lets_the_guns_turn(root: Path) -> None:
+    host = load_cell(root / "deploy" / "cell.example.toml").devices.tool_enable.host  # type: ignore[union-attr]
+    unit = (root / "deploy" / "cellctl-guard.service").read_text(encoding="utf-8")
+    assert f"IPAddressAllow={host}\n" in unit
+    assert re.search(r"^RestrictAddressFamilies=.*\bAF_INET\b", unit, re.MULTILINE)
