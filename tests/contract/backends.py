@@ -46,9 +46,13 @@ class Bench:
 
 
 class Backend(Protocol):
-    """How a device of the cell file is had, connected unless `connect` is false, and the loop that a case runs on."""
+    """How a device of the cell file is had, connected unless `connect` is false, and the loop that a case runs on.
+
+    `simulated` is what its devices must say of themselves; None where they may say either.
+    """
 
     name: str
+    simulated: bool | None
 
     def bench(
         self, device: str, *faults: Fault, connect: bool = True, level: Level = "ideal"
@@ -87,6 +91,7 @@ class FakeBackend:
     """Fakes in this process, under virtual time."""
 
     name = "fake"
+    simulated: bool | None = True
 
     def bench(
         self, device: str, *faults: Fault, connect: bool = True, level: Level = "ideal"
@@ -103,6 +108,8 @@ class FakeBackend:
 
 class WireBackend:
     """The real backend over its own protocol to a simulator with the plant behind it, `speed` times as fast."""
+
+    simulated: bool | None = True
 
     def __init__(self, installed: Installed, name: str = "wire", speed: float = SPEED) -> None:
         self.name = name

@@ -33,6 +33,7 @@ def test_it_releases_and_clamps_with_both_feedbacks(backend: Backend) -> None:
 def test_a_halt_interrupts_the_jaws(backend: Backend) -> None:
     async def main() -> None:
         async with backend.bench("chuck") as bench:
+            await bench.device.clamp()
             release = asyncio.create_task(bench.device.release())
             await asyncio.sleep(0.2)
             assert not (await bench.device.safe()).safe

@@ -32,7 +32,7 @@ def test_it_says_who_it_is(backend: Backend, name: str) -> None:
         async with backend.bench(name, connect=False) as bench:
             identity = await bench.device.connect()
             assert bench.device.name == name
-            assert identity.simulated
+            assert backend.simulated in (None, identity.simulated)
             assert all((identity.vendor, identity.model, identity.serial, identity.firmware))
             assert await bench.device.connect() == identity
 

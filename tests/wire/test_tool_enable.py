@@ -188,6 +188,7 @@ class _Backend:
     """As `tests.contract.backends.Backend`, through a guard."""
 
     name = "wire_guard"
+    simulated = True
 
     @contextlib.asynccontextmanager
     async def bench(
