@@ -11,10 +11,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+from cellctl.api.problems import Violation
 from cellctl.api.schemas import JobOrderRequest, Run, Serials
 from cellctl.app import Service
 from cellctl.cli.serve import ROOT, add_service_options, run_service, settings_of
-from cellctl.client import CellClient
+from cellctl.client import CellClient, ClientError
 
 WAYS_TO_IDLE = {"Aborted": "clear", "Stopped": "reset", "Complete": "reset", "Held": "stop"}
 
@@ -50,10 +51,19 @@ def run(args: argparse.Namespace) -> int:
             say.line("serving on; Ctrl-C ends")
             await asyncio.Event().wait()
 
-    code = run_service(settings_of(args, args.cell, args.speed), journey)
+    try:
+        code = run_service(settings_of(args, args.cell, args.speed), journey)
+    except ClientError as error:
+        print(f"cellctl: {error}", *map(_spoken, error.problem.violations), sep="\n", file=sys.stderr)
+        return 2
     if code or not verdicts:
         return code or 2
     return 0 if verdicts[0] == "accepted" else 3
+
+
+def _spoken(one: Violation) -> str:
+    limit = f" (limit {one.limit}{' ' + one.unit if one.unit else ''})" if one.limit else ""
+    return f"  - {one.pointer}: {one.reason}{limit}"
 
 
 async def assembly(cell: CellClient, name: str, of: tuple[str, int], say: _Say) -> Run:

@@ -28,3 +28,13 @@ def test_the_demo_ends_with_an_accepted_joint_and_its_record(
     assert main(["verify", told["record"], "--key", str(data / "keys" / "cell_ed25519.pub"), "--json"]) == 0
     verified = json.loads(capsys.readouterr().out)
     assert told["run_id"] in json.dumps(verified)
+
+
+def test_a_recipe_that_does_not_fit_is_told_with_its_limit(
+    tmp_path: Path, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--once", "--speed", "1000", "--port", "0", "--recipe", "wire_bench", "--data", str(tmp_path / "data")]
+    assert main(["demo", "--cell", str(root / "deploy" / "cell.fake.toml"), *options]) == 2
+    told = capsys.readouterr().err
+    assert "422 recipe_unfit" in told
+    assert "approach_speed_mm_s: 80.0 mm/s is faster than the axis (limit <= 20.0 mm/s)" in told

@@ -2,7 +2,8 @@
 
     python -m tests.journeys.two_processes --seeds 10 [--first 1] [--recipe wire_bench] [--figures docs/figures]
 
-One seed after the other in real time, until one is not accepted or not good in truth. Exit 0 when all are.
+One seed after the other in real time, until one is not accepted, is not good in truth, or does not come to the same as
+the fake cell. Exit 0 when all are.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
-from cellctl.records.summary import value_of
+from cellctl.recipe import load_recipe
+from cellctl.records.summary import summarise, value_of
 from cellctl.records.verify import read_record, verify
 from cellctl.studies.figures import provenance
-from hal.config import load_cell
+from hal.config import CalibrationEntry, load_cell
+from tests.journeys.agreement import Agreement, agreement
 from tests.journeys.twin_runs import ROOT
 
 CELL = ROOT / "deploy" / "cell.wire.toml"
@@ -41,6 +44,7 @@ class WireRun:
     worst_stud_n: float
     gap_mm: float
     preload_n: tuple[float, float]
+    against_fake: Agreement | None
     wrong: tuple[str, ...]
 
 
@@ -78,9 +82,17 @@ def assembled(seed: int, recipe: str, folder: Path, cell: Path = CELL) -> WireRu
     wall_s = float(told.get("wall_time_s", nan))
     kept = truth / f"R-{name}-S-{name}.json"
     if not kept.exists():
-        return WireRun(seed, "not begun", round(wall_s, 1), nan, nan, (nan, nan), (done.stderr[-600:],))
+        return WireRun(seed, "not begun", round(wall_s, 1), nan, nan, (nan, nan), None, (done.stderr[-600:],))
     true = json.loads(kept.read_text(encoding="utf-8"))
     records = sorted((folder / "data" / "runs").glob("*/record.zip"))
+    wrong = tuple(_wrong(told, done.stderr, true, records, cell))
+    same = None
+    if not wrong:
+        config = load_cell(cell).model_copy(update={"path": folder / cell.name})
+        config = config.model_copy(update={"calibration": CalibrationEntry(file=load_cell(cell).calibration_path)})
+        of = load_recipe(ROOT / "recipes" / f"{recipe}.toml")
+        same = agreement(of, config, seed, (f"R-{name}", f"S-{name}"), summarise(read_record(records[0])[0]), true)
+        wrong = tuple(same.wrong())
     return WireRun(
         seed=seed,
         verdict=str(told.get("verdict")),
@@ -88,7 +100,8 @@ def assembled(seed: int, recipe: str, folder: Path, cell: Path = CELL) -> WireRu
         worst_stud_n=max(true["peak_force_per_bolt_n"]),
         gap_mm=true["seating_gap_mm"],
         preload_n=(min(true["preload_n"]), max(true["preload_n"])),
-        wrong=tuple(_wrong(told, done.stderr, true, records, cell)),
+        against_fake=same,
+        wrong=wrong,
     )
 
 
