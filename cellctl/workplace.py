@@ -166,6 +166,7 @@ class CellWorkplace:
         self.failure = "the devices are not connected"
         if reason := await self.connect():
             raise CellError(reason)
+        await self._bench.cell.rearm()
 
     def _built(self, recipe: Recipe) -> StandingCell:
         return standing_cell(recipe, self._config, self._jobs, seed=self._config.twin.seed)

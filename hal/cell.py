@@ -260,10 +260,11 @@ def _guard(
 
 
 def _kept(config: CellConfig, output: EnableOutput, guard: CellGuard, latch: Latch) -> EnableKeeper:
-    """The output that lets the guns turn, kept by the guard that shares this loop: it falls when the latch closes."""
+    """The output that lets the guns turn, kept by the guard that shares this loop."""
     watchdog_s: float = getattr(config.devices.tool_enable, "watchdog_s", 0.0)
-    keeper = EnableKeeper(output, lambda: "" if guard.alive else "the guard has died", watchdog_s)
-    latch.on_close = keeper.fall
+    refused = lambda: latch.reason("guard") if guard.alive else "the guard has died"  # noqa: E731
+    keeper = EnableKeeper(output, refused, watchdog_s)
+    latch.on_change = keeper.look
     return keeper
 
 

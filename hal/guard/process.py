@@ -87,7 +87,7 @@ class GuardProcess:
         if not isinstance(entry, ModbusEnableEntry):
             return None
         output = modbus_device("tool_enable", beside(config, entry), Lines())
-        return EnableKeeper(output, lambda: self.sentry.trip.reason if self.sentry.trip else "", entry.watchdog_s)
+        return EnableKeeper(output, lambda: "the guard has tripped" * self.sentry.gate.latched, entry.watchdog_s)
 
     async def start(self) -> None:
         """Listen, and have adapter and sensor as soon as they are there. Raises OSError: the socket cannot be had."""
@@ -173,7 +173,7 @@ class GuardProcess:
             for node in self._nodes:
                 self._bus.send(CanFrame(SDO_REQUEST + node, written))
         if self._enable is not None:
-            self._enable.fall("the guard has tripped")
+            self._enable.look()
 
     # ------------------------------------------------------------ time
 
@@ -246,6 +246,8 @@ class GuardProcess:
             case "clear":
                 self._beat()
                 refused = self.sentry.clear(int(values["epoch"]), self._loop.time())
+                if self._enable is not None:
+                    self._enable.look()
                 self._tell()
                 self._answer(tag, NotConnected(f"{refused} {self._bus.trouble}".strip()) if refused else None)
             case _:
@@ -287,7 +289,7 @@ class GuardProcess:
             "force_n": sentry.trip.force_n if sentry.trip else math.nan,
             "bus": self._bus.trouble,
             "sensor": [error.code, error.reason] if error else None,
-            "tools": self._enable.state().reason if self._enable else "",
+            "tools": self._enable.reason if self._enable else "",
         }
         self.server.send(wire.encode_object(Kind.STATE, told))
         if self._arming and (sentry.trip is not None or sentry.proven or not sentry.armed):
