@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable
 
-from hal.errors import CellError, DeviceTimeout
+from hal.errors import CellError, DeviceTimeout, NotConnected
 from hal.guard.heartbeat import BEATS
 from hal.interfaces import EnableOutput, EnableState, Identity, SafeState
 
@@ -28,7 +28,9 @@ class EnableKeeper:
         self.name = output.name
         self._output = output
         self._refused = refused
+        self._watchdog_s = watchdog_s
         self._period_s = watchdog_s / BEATS or None
+        self._set_s = 0.0
         self._stopped = STOPPED
         self._wake = asyncio.Event()
         self._acting = asyncio.Lock()
@@ -108,6 +110,7 @@ class EnableKeeper:
             asked.cancel()
         if not asked.cancelled():
             asked.result()
+            self._set_s = asyncio.get_running_loop().time()
 
     async def _keep(self) -> None:
         again_s: float | None = None
@@ -127,9 +130,10 @@ class EnableKeeper:
                 return self._period_s
             if not (await self._output.safe()).safe:
                 await self._output.halt()
-        except DeviceTimeout:
-            return RETRY_S  # asked again in time, or it falls by itself
         except CellError as error:
-            self._stop(error.reason)
+            lost = isinstance(error, DeviceTimeout | NotConnected)
+            silent_s = asyncio.get_running_loop().time() - self._set_s
+            if not lost or silent_s >= self._watchdog_s:  # before that it may still be asked for in time
+                self._stopped = self._stopped or error.reason
             return RETRY_S
         return None
