@@ -127,6 +127,6 @@ class EnableKeeper:
         except DeviceTimeout:
             return RETRY_S  # asked again in time, or it falls by itself
         except CellError as error:
-            self.fall(error.reason)
+            self._off_reason = self._off_reason or error.reason
             return RETRY_S
         return None
