@@ -9,7 +9,7 @@ from importlib.metadata import version
 from cellctl.calibration import Calibration
 from cellctl.ports import Checkpoint, Devices, GuardPlan, Interlock, Progress, RunContext, RunHeld, Vision
 from cellctl.recipe import Recipe
-from cellctl.recipe_checks import check, trip_force_n
+from cellctl.recipe_checks import check, insertion_trip_n
 from cellctl.records.blobs import Keep
 from cellctl.records.store import OpenRun, RunStore
 from cellctl.records.summary import RunEnded, RunHeader
@@ -165,7 +165,7 @@ def refuse_unfit(order: Order, bench: Bench) -> None:
 def guard_plan(recipe: Recipe, config: CellConfig) -> GuardPlan:
     """Trip force and block sizes from recipe and cell file."""
     return GuardPlan(
-        insert_trip_n=trip_force_n(recipe, config.guard, config.cell.moving_mass_kg),
+        insert_trip_n=insertion_trip_n(recipe, config),
         stale_ms=config.guard.stale_ms,
         contact_block=config.guard.contact_block,
     )

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from asyncio.subprocess import PIPE, Process
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from random import Random
@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from cellctl.studies.figures import provenance
 from hal.bus.hub import CanHub
 from hal.bus.pty import Pty
 from hal.codec.cia301 import RPDO1, heartbeat
@@ -57,6 +58,7 @@ BETWEEN_S = (0.02, 0.06)
 """Of samples below the trip."""
 PARTS = ("-m", "tests.benchmarks.reaction_parts")
 FAKE_CELL = ROOT / "deploy" / "cell.fake.toml"
+DELAYS = ROOT / "docs" / "figures" / "reaction_delays.json"
 LIMITS = GuardLimits("reaction", tare_n=0.0, trip_n=100.0, low_n=-100.0, stale_ms=10_000.0, block=10)
 
 
@@ -151,7 +153,9 @@ async def _measured(work: Path, trials: int) -> dict[str, Any]:
             )
             rates.cancel()
             await asyncio.wait({rates})
-            found = {"floor": _told(bare), "process": _told(process), "thread": _told(thread), "open3d": _told(open3d)}
+            ways = {"floor": bare, "process": process, "thread": thread, "open3d": open3d}
+            keep_delays(ways)
+            found = {way: _told(seconds) for way, seconds in ways.items()}
     return found | {
         "points": POINTS,
         "asked_per_s": RATE,
@@ -160,6 +164,13 @@ async def _measured(work: Path, trials: int) -> dict[str, Any]:
         "thread_to_process": found["thread"]["p99_ms"] / found["process"]["p99_ms"],
         "open3d_to_process": found["open3d"]["p99_ms"] / found["process"]["p99_ms"],
     }
+
+
+def keep_delays(ways: Mapping[str, list[float]], path: Path = DELAYS) -> None:
+    """Every one of them, ascending, for those who draw from them (tests.dead.force_trips)."""
+    ms = {way: {"ms": [round(1e3 * one, 4) for one in sorted(seconds)]} for way, seconds in ways.items()}
+    entry = provenance(["python", "-m", "tests.benchmarks", "--only", "reaction"], ROOT)
+    path.write_text(json.dumps(entry | ms, allow_nan=False) + "\n", encoding="utf-8")
 
 
 async def _rates(asking: Process) -> None:

@@ -160,6 +160,28 @@ def test_an_output_that_cannot_be_set_is_told_by_the_re_arming(error: Exception)
     kept(case)
 
 
+def test_a_coupler_that_is_gone_is_asked_now_and_then() -> None:
+    async def case(stand: Kept) -> None:
+        await stand.keeper.rearm()
+        asked = 0
+
+        async def gone() -> None:
+            nonlocal asked
+            asked += 1
+            assert asked < 100, "asked without a pause"
+            raise NotConnected("no link", device="tool_enable")
+
+        exchange, stand.output.exchange = stand.output.exchange, gone  # type: ignore[method-assign]
+        await asyncio.sleep(2.0)
+        assert 5 <= asked <= 25
+        assert not (await stand.keeper.read()).enabled
+        stand.output.exchange = exchange  # type: ignore[method-assign]
+        await asyncio.sleep(0.2)
+        assert not stand.output.enabled, "off as soon as it can be said"
+
+    kept(case)
+
+
 def test_a_halt_while_it_is_being_asked_for_is_the_last_word() -> None:
     async def case(stand: Kept) -> None:
         await stand.keeper.rearm()
