@@ -18,6 +18,7 @@ from typing import Protocol
 
 import httpx
 from fastapi import FastAPI
+from fastapi.responses import StreamingResponse
 
 from cellctl.api.app import create_app
 from cellctl.api.auth import Allow, DemoAuth, declared
@@ -239,8 +240,14 @@ async def _warm(app: FastAPI, token: str) -> None:
                 await client.get(route.path)
             elif "POST" in route.methods and isinstance(route.access, Allow):
                 await client.post(route.path, json={})
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(StreamingResponse(_nothing()))) as client:
+        await client.get("http://warm")  # what streaming needs is imported with the first stream
     gc.collect()
     gc.freeze()
+
+
+async def _nothing() -> AsyncIterator[bytes]:
+    yield b""
 
 
 @asynccontextmanager
