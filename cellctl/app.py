@@ -58,12 +58,21 @@ class Workplace(SafeCell, Protocol):
         """Why no order can be worked on, or an empty string."""
         ...
 
+    @property
+    def unreachable(self) -> str:
+        """Why devices are not connected, or an empty string."""
+        ...
+
+    async def connect(self) -> str:
+        """Connect what is not connected; the reason where that failed, or an empty string."""
+        ...
+
     def faults(self, recipe: Recipe) -> tuple[Fault, ...]:
         """What makes the recipe unfit for this cell."""
         ...
 
     async def ready(self) -> str:
-        """Connect what is not connected and look at what Idle needs; the reason against it, or an empty string."""
+        """The reason against Idle, or an empty string."""
         ...
 
     async def until_unsafe(self) -> str:
@@ -143,7 +152,12 @@ async def _services(
     opened = asynccontextmanager(open_workplace)(config, book, store, stamps, settings.data)
     workplace = await stack.enter_async_context(opened)
     controller = Controller(
-        workplace, events, safe_deadline_s=config.cell.safe_deadline_s, ready=workplace.ready, wall_s=settings.speed
+        workplace,
+        events,
+        safe_deadline_s=config.cell.safe_deadline_s,
+        ready=workplace.ready,
+        connect=workplace.connect,
+        wall_s=settings.speed,
     )
     stack.push_async_callback(controller.shutdown)
     metrics = Metrics(controller, events)
@@ -161,13 +175,14 @@ async def _services(
     stack.push_async_callback(dry_runs.close)
     await stack.enter_async_context(_background(watch_safety(controller, workplace.until_unsafe)))
     auth = _demo_auth(settings.data)
+    # Whatever a run that was cut off was doing, nothing is known of it now, nor of devices that do not answer: a person
+    # looks before anything moves, and what is not connected is connected when that person clears.
     interrupted = orders.interrupted()
-    if interrupted is None:
-        controller.request(Command.RESET)
-    else:
-        # Whatever it was doing, nothing is known of it now: a person looks before anything moves.
-        why = await _give_up(interrupted, orders, store, stamps)
+    cut_off = "" if interrupted is None else await _give_up(interrupted, orders, store, stamps)
+    if why := "; ".join(filter(None, (cut_off, workplace.unreachable))):
         controller.request(Command.ABORT, why)
+    else:
+        controller.request(Command.RESET)
     return Services(
         cell_name=config.cell.name,
         simulated=config.auth.mode == "demo",  # that sign-in is for devices which say so

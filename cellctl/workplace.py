@@ -38,6 +38,7 @@ JOB_DEADLINE_S = 60.0
 DRY_RUN_DEADLINE_S = 300.0
 """Seconds of the wall."""
 DRY_RUN_POINTS = 300_000
+NOT_CONNECTED = "the devices are not connected"
 
 
 async def open_workplace(
@@ -45,7 +46,7 @@ async def open_workplace(
 ) -> AsyncIterator[CellWorkplace]:
     """The workplace of one cell, set up for the first recipe that fits it. Closes everything at the end.
 
-    A device that does not answer is no error: the workplace says so in `failure`, and a reset tries again.
+    A device that does not answer is no error: the workplace says so in `unreachable`, and `connect` tries again.
     """
     calibration = load_calibration(config.calibration_path)
     jobs = ProcessJobs(deadline_s=JOB_DEADLINE_S, modules=(*WARM, *RENDERING))
@@ -84,18 +85,25 @@ class CellWorkplace:
         self._bench = self._built(first)
         self._identities: dict[str, Identity] = {}
         self._expected: dict[str, tuple[tuple[str, float], ...]] = {}
-        self.failure = "the devices are not connected"
+        self._unfit = ""
+        self.unreachable = NOT_CONNECTED
+
+    @property
+    def failure(self) -> str:
+        """Why no order can be worked on, or an empty string."""
+        return self.unreachable or self._unfit
 
     async def connect(self) -> str:
         """Connect what is not connected; the reason where that failed, else an empty string."""
-        if self.failure:
+        if self.unreachable:
             try:
                 self._identities = await self._bench.cell.connect()
             except CellError as error:
-                self.failure = str(error)
+                self.unreachable = str(error)
             else:
-                self.failure = refused_sign_in(self._config.auth.mode, self._identities)
-        return self.failure
+                self.unreachable = ""
+                self._unfit = refused_sign_in(self._config.auth.mode, self._identities)
+        return self.unreachable
 
     async def close(self) -> None:
         """Let go of the devices."""
@@ -107,7 +115,7 @@ class CellWorkplace:
 
     async def rearm(self) -> None:
         """Every set-point becomes what is measured, on devices that are connected. Raises CellError."""
-        if not await self.connect():
+        if not await self.connect() and not self.failure:
             await self._bench.cell.rearm()
 
     async def ready(self) -> str:
@@ -163,9 +171,9 @@ class CellWorkplace:
             return
         await self._bench.cell.close()
         self._bench = self._built(recipe)
-        self.failure = "the devices are not connected"
-        if reason := await self.connect():
-            raise CellError(reason)
+        self.unreachable = NOT_CONNECTED
+        if await self.connect() or self.failure:
+            raise CellError(self.failure)
 
     def _built(self, recipe: Recipe) -> StandingCell:
         return standing_cell(recipe, self._config, self._jobs, seed=self._config.twin.seed)

@@ -71,8 +71,10 @@ async def assembly(cell: CellClient, name: str, of: tuple[str, int], say: _Say) 
     while (now := await cell.cell()).state != "Idle":
         if command := WAYS_TO_IDLE.get(now.state):
             await cell.command(command, "the demo begins")
+        cleared = now.state == "Aborted"
         now = await cell.until("Idle", *WAYS_TO_IDLE)
-        if now.state == "Stopped" and now.why and "demo" not in now.why:
+        stuck = now.state == "Stopped" or (cleared and now.state == "Aborted")
+        if stuck and now.why and "demo" not in now.why:
             say.line(f"not ready: {now.why}")
             await asyncio.sleep(60.0)
     recipe, version = of
