@@ -35,7 +35,7 @@ from cellctl.records.errors import RecordError, UnknownRun
 from cellctl.records.store import RunStore
 from cellctl.records.summary import RunEnded
 from cellctl.safety_watch import watch_safety
-from cellctl.service_rules import Settings, refuse_unfit
+from cellctl.service_rules import Settings, real_devices, refuse_unfit
 from cellctl.session import SafeCell, Session
 from cellctl.signals import ending
 from cellctl.stamps import Stamps, WallStamps
@@ -43,6 +43,7 @@ from cellctl.states import Command
 from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
 from hal.jobs import ProcessJobs
+from hal.owner import sole_user
 
 TOKEN_FILE = "demo-token"
 LOOK_DEADLINE_S = 60.0
@@ -111,13 +112,16 @@ async def serve(
 ) -> None:
     """Serve until SIGTERM, SIGINT or `Service.stop`, or, with `during`, until that has returned.
 
-    Raises ConfigError for files or settings that do not fit, and what `during` raises.
+    Raises ConfigError for files or settings that do not fit, DeviceRefused where the cell's devices are in other hands,
+    and what `during` raises.
     """
     config = load_cell(settings.cell)
     refuse_unfit(settings, config)
     sock = _socket(settings)
     async with AsyncExitStack() as stack:
         stack.callback(sock.close)
+        if real_devices(config):  # fakes live in this process
+            stack.enter_context(sole_user(config.path))
         services, auth = await _services(stack, settings, config, open_workplace)
         app = create_app(services)
         await _warm(app, auth.token)

@@ -30,6 +30,7 @@ from hal.clock import run_virtual
 from hal.config import CellConfig
 from hal.interfaces import Identity
 from hal.jobs import InlineJobs, Jobs, ProcessJobs
+from hal.owner import sole_user
 
 USED: dict[Procedure, tuple[str, ...]] = {
     "camera": ("scanner", "camera_park"),
@@ -69,8 +70,9 @@ def calibrate_once(request: CalibrationRequest) -> Calibration:
 
 
 async def _in_real_time(request: CalibrationRequest) -> Calibration:
-    async with ProcessJobs(modules=WARM) as jobs:
-        return await calibrate_here(request, jobs)
+    with sole_user(request.config.path):
+        async with ProcessJobs(modules=WARM) as jobs:
+            return await calibrate_here(request, jobs)
 
 
 async def calibrate_here(request: CalibrationRequest, jobs: Jobs) -> Calibration:

@@ -40,6 +40,7 @@ from hal.fake.fault_file import Fault
 from hal.fake.truth import Truth, truth_of
 from hal.interfaces import Identity
 from hal.jobs import InlineJobs, Jobs, ProcessJobs
+from hal.owner import sole_user
 
 ENDED = (State.COMPLETE, State.HELD, State.STOPPED, State.ABORTED)
 
@@ -99,7 +100,8 @@ class Outcome:
 def run_once(request: RunRequest) -> Outcome:
     """Run one assembly to its end: under virtual time where every device is fake, in real time elsewhere.
 
-    Raises ConfigError for a recipe the twin cannot be built to.
+    Raises ConfigError for a recipe the twin cannot be built to, DeviceRefused where the cell's devices are in other
+    hands.
     """
     started = time.perf_counter()
     outcome = (
@@ -110,8 +112,9 @@ def run_once(request: RunRequest) -> Outcome:
 
 async def _run_in_real_time(request: RunRequest) -> Outcome:
     """Whatever takes long is done in worker processes: drives are not left without their heartbeat."""
-    async with ProcessJobs(modules=WARM) as jobs:
-        return await run_here(dataclasses.replace(request, jobs=jobs))
+    with sole_user(request.config.path):
+        async with ProcessJobs(modules=WARM) as jobs:
+            return await run_here(dataclasses.replace(request, jobs=jobs))
 
 
 @dataclass(frozen=True, slots=True)
