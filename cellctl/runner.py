@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from cellctl.assembly import Assembly, Bench, Order
-from cellctl.calibration import load_calibration
+from cellctl.calibration import Calibration, load_calibration
 from cellctl.controller import Controller
 from cellctl.event_log import EventLog
 from cellctl.recipe import Recipe
@@ -47,7 +47,10 @@ ENDED = (State.COMPLETE, State.HELD, State.STOPPED, State.ABORTED)
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What is to be run. `level`, `points` and `overrides` stand in the cell's `[twin]`; `jobs` render and measure."""
+    """What is to be run. `level`, `points` and `overrides` stand in the cell's `[twin]`; `jobs` render and measure.
+
+    `calibration` takes the place of the one that the cell file names.
+    """
 
     recipe: Recipe
     config: CellConfig
@@ -59,6 +62,7 @@ class RunRequest:
     rotor_serial: str = "R-1"
     shaft_serial: str = "S-1"
     jobs: Jobs = field(default_factory=InlineJobs)
+    calibration: Calibration | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +141,7 @@ def compose(request: RunRequest) -> Composed:
     twin = standing_cell(request.recipe, request.config, request.jobs, seed=request.seed, faults=request.faults)
     stamps: Stamps = WallStamps() if real_devices(request.config) else VirtualStamps(identity(request))
     controller = Controller(twin.cell, EventLog(stamps.now), safe_deadline_s=request.config.cell.safe_deadline_s)
-    calibration = load_calibration(request.config.calibration_path)
+    calibration = request.calibration or load_calibration(request.config.calibration_path)
     store = RunStore(request.data, durable=False)
     identities: dict[str, Identity] = {}
     order = Order(

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from cellctl.assembly import Assembly, Bench
 from cellctl.assembly import Order as AssemblyOrder
 from cellctl.believed_twin import numbers_of
+from cellctl.calibrated_devices import other_devices
 from cellctl.calibration import Calibration, load_calibration
 from cellctl.controller import Snapshot
 from cellctl.dry_runs import TwinOutcome
@@ -102,7 +103,8 @@ class CellWorkplace:
                 self.unreachable = str(error)
             else:
                 self.unreachable = ""
-                self._unfit = refused_sign_in(self._config.auth.mode, self._identities)
+                others = other_devices(self._calibration, self._identities)
+                self._unfit = refused_sign_in(self._config.auth.mode, self._identities) or "; ".join(others)
         return self.unreachable
 
     async def close(self) -> None:
@@ -213,11 +215,13 @@ class _Tried:
 
 def run_on_twin(recipe: Recipe, config: CellConfig, seed: int) -> TwinOutcome:
     """A run in virtual time on an ideal twin that knows nothing of the cell's own plant. Blocking."""
-    believed = numbers_of(load_calibration(config.calibration_path))
+    calibration = load_calibration(config.calibration_path)
+    believed = numbers_of(calibration)
+    of_any_device = calibration.model_copy(update={"made": {}})  # the twin's own are not those it was made with
     twin = config.twin.model_copy(update={"level": "ideal", "overrides": believed, "points": DRY_RUN_POINTS})
     private = config.on_fakes().model_copy(update={"twin": twin})
     with TemporaryDirectory(prefix="cellctl-dry-run-") as folder:
-        outcome = run_once(RunRequest(recipe, private, seed, Path(folder), keep="none"))
+        outcome = run_once(RunRequest(recipe, private, seed, Path(folder), keep="none", calibration=of_any_device))
     summary = outcome.summary
     phases = tuple((phase.name, phase.cell_time_s) for phase in summary.phases) if summary else ()
     cell_time_s = summary.cell_time_s if summary else 0.0
