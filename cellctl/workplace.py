@@ -94,6 +94,10 @@ class CellWorkplace:
         """Why no order can be worked on, or an empty string."""
         return self.unreachable or self._unfit
 
+    def is_simulated(self) -> bool:
+        """Whether any device is a simulation, as they all may be while none is connected."""
+        return any(identity.simulated for identity in self._identities.values()) or not self._identities
+
     async def connect(self) -> str:
         """Connect what is not connected; the reason where that failed, else an empty string."""
         if self.unreachable:

@@ -45,8 +45,10 @@ def run(args: argparse.Namespace) -> int:
 
     async def tell(service: Service) -> None:
         if args.json:
-            told = {"url": service.url, "token": service.token, "data": str(service.data)}
+            told = {"url": service.url, "token": service.token or None, "data": str(service.data)}
             print(json.dumps(told), flush=True)
+        elif not service.token:
+            print(f"page   {service.url}\nAPI    {service.url}/api/v1\nsign in with a key\nCtrl-C ends", flush=True)
         else:
             print(f"page   {service.url}/#token={service.token}\nAPI    {service.url}/api/v1\ntoken  {service.token}")
             print("Ctrl-C ends", flush=True)

@@ -21,8 +21,14 @@ from cellctl.records.chain import Row
 WARM = """
 import asyncio, sys
 from fastapi import FastAPI
+from dataclasses import dataclass
 from cellctl.app import _warm
-asyncio.run(_warm(FastAPI(), "token"))
+@dataclass
+class Services:
+    auth: object
+app = FastAPI()
+app.state.services = Services(None)
+asyncio.run(_warm(app))
 before = set(sys.modules)
 async def stream():
     import httpx

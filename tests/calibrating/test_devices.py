@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from cellctl.api.auth import DemoAuth
 from cellctl.app import _services
 from cellctl.calibrated_devices import other_devices, told
 from cellctl.calibrating.entry import require_same_devices
@@ -86,7 +87,7 @@ def test_a_service_is_not_ready_with_another_device_and_says_which(tmp_path: Pat
 
     async def main() -> Snapshot:
         async with AsyncExitStack() as stack:
-            services, _ = await _services(stack, settings, config, open_workplace)
+            services = await _services(stack, settings, config, DemoAuth(), open_workplace)
             await services.controller.until(State.STOPPED, State.IDLE, State.ABORTED)
             assert services.not_ready() == services.controller.snapshot().why
             return services.controller.snapshot()

@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
 
+from cellctl.api.auth import DemoAuth
 from cellctl.api.services import Services
 from cellctl.app import _services
 from cellctl.gun_programs import programs_of
@@ -32,7 +33,7 @@ def served(folder: Path, case: Callable[[CellConfig, Services], Awaitable[None]]
         config = wire_cell(folder, **BRISK)
         settings = Settings(cell=config.path, data=folder / "data", recipes=ROOT / "recipes")
         async with AsyncExitStack() as stack:
-            services, _ = await _services(stack, settings, config, open_workplace)
+            services = await _services(stack, settings, config, DemoAuth(), open_workplace)
             await case(config, services)
 
     quickened(main(), 100.0, CATCH_UP_S)
