@@ -180,6 +180,7 @@ class CellWorkplace:
         self.unreachable = NOT_CONNECTED
         if await self.connect() or self.failure:
             raise CellError(self.failure)
+        await self._bench.cell.rearm()  # this bench is another one than the reset has made ready
 
     def _built(self, recipe: Recipe) -> StandingCell:
         return standing_cell(recipe, self._config, self._jobs, seed=self._config.twin.seed)
