@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 
+from cellctl.calibrated_devices import other_devices
 from cellctl.calibration import Calibration
 from cellctl.ports import Checkpoint, Devices, GuardPlan, Interlock, Progress, RunContext, RunHeld, Vision
 from cellctl.recipe import Recipe
@@ -18,6 +19,7 @@ from cellctl.session import Outcome, RunEnd
 from cellctl.stamps import Stamps
 from cellctl.steps.results import RunResult
 from hal.config import CellConfig
+from hal.interfaces import Identity
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,7 @@ class Bench:
     calibration: Calibration
     store: RunStore
     stamps: Stamps
-    identities: Mapping[str, object]
+    identities: Mapping[str, Identity]
 
 
 class Assembly:
@@ -152,7 +154,8 @@ def header_of(order: Order, bench: Bench) -> RunHeader:
 
 
 def refuse_unfit(order: Order, bench: Bench) -> None:
-    """Raises RunHeld with every finding that was not forced, or where the calibration is out of date."""
+    """Raises RunHeld with every finding that was not forced, or where the calibration is out of date or of other
+    devices than are there."""
     findings = [
         finding for finding in check(order.recipe, bench.config, bench.calibration) if finding.name not in order.forced
     ]
@@ -160,6 +163,8 @@ def refuse_unfit(order: Order, bench: Bench) -> None:
         raise RunHeld("recipe_refused", "; ".join(f"{f.name}: {f.reason}" for f in findings))
     if not bench.calibration.valid_at(bench.stamps.now()):
         raise RunHeld("calibration_expired", f"calibration {bench.calibration.id} is not valid today")
+    if others := other_devices(bench.calibration, bench.identities):
+        raise RunHeld("calibration_of_others", "; ".join(others))
 
 
 def guard_plan(recipe: Recipe, config: CellConfig) -> GuardPlan:

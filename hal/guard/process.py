@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import logging
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -43,9 +44,13 @@ _log = logging.getLogger(__name__)
 
 
 class GuardProcess:
-    """Made inside the running loop. `can_bus` is not open; `start` does not wait for adapter or sensor."""
+    """Made inside the running loop. `can_bus` is not open; `start` does not wait for adapter or sensor.
 
-    def __init__(self, config: CellConfig, can_bus: CanBus) -> None:
+    `on_cycle` is called with the loop's time whenever the heartbeats are due.
+    """
+
+    def __init__(self, config: CellConfig, can_bus: CanBus, on_cycle: Callable[[float], None] | None = None) -> None:
+        self._on_cycle = on_cycle
         entry = config.devices.jack_force
         assert isinstance(entry, ForceLineEntry), "the cell file was checked"
         assert isinstance(config.can, CanEntry), "the cell file was checked"
@@ -178,9 +183,11 @@ class GuardProcess:
     # ------------------------------------------------------------ time
 
     def _cycle(self) -> None:
-        """The heartbeats: to the drives while the controller lives, to the controller always."""
+        """The heartbeats: to the drives while the controller lives, to the others always."""
         self._beat()
         self._tell()
+        if self._on_cycle is not None:
+            self._on_cycle(self._loop.time())
         self._next_cycle = self._loop.call_later(self._cycle_s, self._cycle)
 
     def _beat(self) -> None:
