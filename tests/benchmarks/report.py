@@ -246,8 +246,8 @@ def _reaction(result: Json) -> list[str]:
     threads = [f"{number(result[f'{key}_to_process'])} ({WAYS[key]})" for key in ("thread", "together", "open3d")]
     return [
         *("## Reaction", "", REACTION, ""),
-        f"Asked of the API: {result['asked_per_s']:.0f} requests a second; vision: {_millions(result['points'])} points; load",
-        f"average before the run {result['load_average_before']:.2f}.",
+        f"Asked {result['asked_per_s']:.0f} times a second; vision on {_millions(result['points'])} points;",
+        f"load average before the run {result['load_average_before']:.2f}.",
         *("", *table(["way", "p50 ms", "p99 ms", "max ms", "trials", "answers/s"], rows), ""),
         f"p99 of the guard in its process: {number(result['process_to_floor'])} times the floor. p99 of the guard in a",
         f"thread over that: {', '.join(threads)}.",
