@@ -34,7 +34,7 @@ POINTS = 1_000_000
 TRIALS = 500
 ROUNDS = 4
 """Floor and guard's process take turns so often, so that both see the same of what else the machine does."""
-SLOW = 5
+SLOW = 10
 """So many times fewer trials beside Open3D, some of which take seconds."""
 SEED = 1
 REAL_TIME = 60
@@ -154,10 +154,11 @@ async def _together(answered: list[float], stand: Stand, work: Path) -> AsyncIte
 
 @contextlib.asynccontextmanager
 async def _service(answered: list[float], *command: str) -> AsyncIterator[None]:
-    """Serving, and asked at the rate; what it answers each second is appended."""
+    """Serving, and asked at the rate since a second; what it answers each further one is appended."""
     async with _part(*command) as service:
         api = json.loads(await _line(service))
         async with _part(*PARTS, "load", api["url"], api["token"], str(RATE)) as asking:
+            await _line(asking)
             counting = asyncio.create_task(_count(asking, answered))
             try:
                 yield

@@ -34,7 +34,8 @@ STRESS = """Sigma 0.05 mm shared over 3 pixels, ripple 0.02 mm, 6 % outliers, cl
 off by more than 0.25 mm."""
 
 REACTION = """From the last byte of a sample above the trip on the pty to the quick stop at the CAN hub; 1000 samples a
-second. The delays of every trial are in [reaction_delays.json](figures/reaction_delays.json).
+second; none within 5 s counts as 5 s. The delays of every trial are in
+[reaction_delays.json](figures/reaction_delays.json).
 
 * Bare loop: one reader of the pty that writes one line to the hub's socket, with the guard's priority; the floor.
 * Guard in its process: `python -m hal.guard`. As with the bare loop, service and vision are processes of their own,
