@@ -121,7 +121,7 @@ class Stand:
         beats = Heartbeat(link.beat, lambda: True, 0.02)
         beats.start()
         await link.reached(bus=True, within_s=WAIT_S)
-        await _patiently(lambda: link.call("connect"))
+        await _patiently(lambda: link.call("connect", device="jack_force"))
         seconds = []
         for _ in range(trials):
             await _armed(link)
