@@ -32,7 +32,7 @@ from tests.benchmarks.scenes import plain
 RATE = 300.0
 POINTS = 1_000_000
 TRIALS = 500
-ROUNDS = 4
+ROUNDS = 2
 """Floor and guard's process take turns so often, so that both see the same of what else the machine does."""
 SLOW = 10
 """So many times fewer trials beside Open3D, some of which take seconds."""
@@ -45,9 +45,11 @@ Way = Callable[[Stand], AbstractAsyncContextManager[None]]
 
 @dataclass(slots=True)
 class Delays:
-    """Of one way: seconds of each trial, and how many requests a second were answered meanwhile, each second."""
+    """Of one way: seconds of each trial; how many requests a second were answered meanwhile, each second."""
 
     seconds: list[float] = field(default_factory=list)
+    reading: list[float] = field(default_factory=list)
+    """Of these until the bytes were read, in the bare loop: what the kernel takes to hand them on."""
     answered: list[float] = field(default_factory=list)
 
     def told(self) -> dict[str, float]:
@@ -73,9 +75,9 @@ def reaction(work: Path, delays: Path) -> dict[str, Any]:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         gc.enable()
     keep(measured, delays)
-    return {"points": POINTS, "asked_per_s": RATE, "load_average_before": load} | compared(
-        {name: one.told() for name, one in measured.items()}
-    )
+    reading_ms = 1e3 * float(np.percentile(measured["floor"].reading, 99))
+    about = {"points": POINTS, "asked_per_s": RATE, "load_average_before": load, "floor_reading_p99_ms": reading_ms}
+    return about | compared({name: one.told() for name, one in measured.items()})
 
 
 def keep(measured: Mapping[str, Delays], path: Path) -> None:
@@ -103,8 +105,10 @@ async def _measured(work: Path, trials: int) -> dict[str, Delays]:
 
     async def measure(name: str, way: Way, share: int) -> None:
         draw, begun = Random(SEED + len(ways[name].seconds)), len(answered)
-        async with standing() as stand, way(stand):
-            ways[name].seconds += await (stand.bare if name == "floor" else stand.guarded)(trials // share, draw)
+        async with standing() as stand:
+            async with way(stand):
+                ways[name].seconds += await (stand.bare if name == "floor" else stand.guarded)(trials // share, draw)
+            ways[name].reading += stand.reading
         ways[name].answered += answered[begun:]
 
     async with _service(answered, "-m", "cellctl", *SERVE, "--data", str(work / "data")):
@@ -128,6 +132,7 @@ async def _floor(stand: Stand) -> AsyncIterator[None]:
     async with _part(*PARTS, "floor", str(pty), str(stand.port)) as loop:
         await _line(loop)
         yield
+        stand.reading = [float(await _line(loop)) - sent_s for sent_s in stand.sent]
 
 
 @contextlib.asynccontextmanager

@@ -1,6 +1,6 @@
 """Processes of the reaction benchmark: `python -m tests.benchmarks.reaction_parts PART ...`.
 
-floor PTY PORT                  a bare loop: bytes of a pty in, one line to a socket out, nothing else
+floor PTY PORT                  a bare loop: bytes of a pty in, one line to a socket out, then when they were read
 vision FOLDER                   the vision core on the stored scan again and again, as the controller's worker does it
 thread KIND CELL FOLDER         the guard in a thread, vision of that kind in the same process
 together CELL FOLDER COMMAND... guard and vision in threads of the service that the command starts
@@ -14,6 +14,7 @@ import os
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -21,6 +22,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from cellctl.__main__ import main as cellctl
+from hal.bus import can
 from hal.bus.can import CanBus
 from hal.codec.cia301 import RPDO1
 from hal.codec.lawicel import CanFrame, encode
@@ -35,6 +37,7 @@ STOP = CanFrame(RPDO1 + 3, b"\x02\x00\x01")
 OVER = b"+9999"
 """What only the sample begins with that must be reacted to."""
 CONNECTIONS = 16
+PATIENT_S = 1000.0
 
 
 def floor(pty: str, port: str) -> None:
@@ -48,7 +51,9 @@ def floor(pty: str, port: str) -> None:
 
             def read() -> None:
                 if OVER in os.read(file, 65536):
+                    read_s = time.perf_counter()
                     peer.send(line)
+                    print(read_s, flush=True)
 
             asyncio.get_running_loop().add_reader(file, read)
             print("ready", flush=True)
@@ -95,6 +100,8 @@ def together(cell: str, folder: str, *command: str) -> None:
 
 
 def _guard_in_a_thread(cell: str) -> None:
+    can.SILENCE_S = PATIENT_S  # or it would be busy with opening the bus anew where the interpreter is held for seconds
+
     async def guard() -> None:
         config = load_cell(Path(cell))
         assert config.can is not None

@@ -47,7 +47,8 @@ class Amplifier:
         self._rest = b""
         self._number = 0
         self._begun_s = self._loop.time()
-        self._sent = 0.0
+        self.sent: list[float] = []
+        """When, by `time.perf_counter`, each sample above the trip was written."""
         self._stopped: asyncio.Future[float] | None = None
         self._bus, _ = hub.attach(self._frame)
         self._pump = asyncio.create_task(self._run())
@@ -85,12 +86,12 @@ class Amplifier:
     async def react(self) -> float:
         """Seconds from writing the sample to the quick stop; `LATEST_S` where there was none by then."""
         self._stopped = self._loop.create_future()
-        self._sent = time.perf_counter()
+        self.sent.append(time.perf_counter())
         self._say(OVER_N)
         self._begun_s -= 1.0 / SAMPLES_PER_S  # one sample ahead of its time from here on
         try:
             async with asyncio.timeout(LATEST_S):
-                return await self._stopped - self._sent
+                return await self._stopped - self.sent[-1]
         except TimeoutError:
             return LATEST_S
 
@@ -106,6 +107,9 @@ class Stand:
         self._amplifier = amplifier
         self.port = hub.port
         self.cell = cell
+        self.sent = amplifier.sent
+        self.reading: list[float] = []
+        """Seconds until the bare loop had read each of them."""
 
     async def bare(self, trials: int, draw: Random) -> list[float]:
         """Seconds of each reaction of whoever reads the pty and writes to the hub."""

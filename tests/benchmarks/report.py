@@ -37,7 +37,8 @@ REACTION = """From the last byte of a sample above the trip on the pty to the qu
 second; none within 5 s counts as 5 s. The delays of every trial are in
 [reaction_delays.json](figures/reaction_delays.json).
 
-* Bare loop: one reader of the pty that writes one line to the hub's socket, with the guard's priority; the floor.
+* Bare loop: one reader of the pty that writes one line to the hub's socket, with the guard's priority; the floor. The
+  kernel hands bytes of a pty on in a worker thread of ordinary priority, which both have to wait for.
 * Guard in its process: `python -m hal.guard`. As with the bare loop, service and vision are processes of their own,
   vision at the niceness of the controller's worker; both ways are measured in turns.
 * Guard in a thread: the same guard with the same priority in one interpreter with something else; beside our vision,
@@ -252,6 +253,7 @@ def _reaction(result: Json) -> list[str]:
         *("", *table(["way", "p50 ms", "p99 ms", "max ms", "trials", "answers/s"], rows), ""),
         f"p99 of the guard in its process: {number(result['process_to_floor'])} times the floor. p99 of the guard in a",
         f"thread over that: {', '.join(threads)}.",
+        f"Until the bare loop has read the sample, p99: {number(result['floor_reading_p99_ms'])} ms.",
     ]
 
 
