@@ -33,7 +33,7 @@ def test_the_stand_trips_a_guard_again_and_again_and_hears_each_stop() -> None:
 
 def test_delays_are_kept_in_order_and_compared_at_p99(tmp_path: Path) -> None:
     ways = {"floor": 1e-3, "process": 2e-3, "thread": 4e-3, "together": 20e-3, "open3d": 1.0}
-    measured = {name: Delays([3.0 * s] + [s] * 999, [299.0, 300.0, 301.0]) for name, s in ways.items()}
+    measured = {name: Delays([3.0 * s] + [s] * 999, answered=[299.0, 300.0, 301.0]) for name, s in ways.items()}
     found = compared({name: one.told() for name, one in measured.items()})
     assert found["process"] == pytest.approx(
         {"trials": 1000, "p50_ms": 2.0, "p99_ms": 2.0, "max_ms": 6.0, "answered_per_s": 300.0}
