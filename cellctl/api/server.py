@@ -90,7 +90,8 @@ class Server(uvicorn.Server):
 def bound(host: str, port: int) -> socket.socket:
     """A socket bound to that address. Raises OSError where it is taken."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    # Named as TCP, or asyncio leaves Nagle's algorithm on and every second piece of an answer waits 40 ms.
+    # With the protocol named, asyncio turns off Nagle's algorithm on what connects: an answer is two writes, and the
+    # second would wait for the client to acknowledge the first, which takes it 40 ms.
     sock = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

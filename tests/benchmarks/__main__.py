@@ -31,8 +31,8 @@ WITH_PCL = {"time", "bolts", "accuracy", "stress"}
 BOUND_CLOUDS = {100_000: 100, 300_000: 50, 1_000_000: 20}
 
 
-def parts(seeds: int | None, first: int) -> dict[str, Part]:
-    """All of them by name; each gets a folder for its clouds."""
+def parts(seeds: int | None, first: int, figures: Path) -> dict[str, Part]:
+    """All of them by name; each gets a folder for its clouds. What is too long for bench.json goes beside it."""
     return {
         "time": timing.over_points,
         "bolts": timing.over_bolts,
@@ -41,7 +41,7 @@ def parts(seeds: int | None, first: int) -> dict[str, Part]:
         "bound": partial(bound, seeds=seeds, first=first),
         "stress": partial(stress.over_seeds, seeds=seeds or STRESS_SEEDS, first=first),
         "run": whole_run,
-        "reaction": reaction,
+        "reaction": partial(reaction, delays=figures / "reaction_delays.json"),
     }
 
 
@@ -60,7 +60,7 @@ def cpu_s() -> float:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command."""
-    known = sorted(parts(None, 0))
+    known = sorted(parts(None, 0, ROOT))
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     parser.add_argument("--only", action="append", choices=known)
     parser.add_argument("--seeds", type=int, help="clouds of accuracy, bound and stress")
@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(f"{PCL.relative_to(ROOT)} is missing: `make bench` compiles it")
     path = args.docs / "figures" / "bench.json"
     figures = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    for name, part in parts(args.seeds, args.first).items():
+    for name, part in parts(args.seeds, args.first, path.parent).items():
         if args.only and name not in args.only:
             continue
         print(f"{name} ...", flush=True)
