@@ -346,18 +346,20 @@ class CanAxis:
 
     async def _refuse(self, status: Status) -> None:
         """Why a motion under way has ended; nothing while it goes on. Raises as `move_to`."""
-        if self._halted:
+        said = self.node.emergency
+        if self._halted and (said is None or not status.voltage):
             raise Interrupted("halted on the way", device=self.name)
         if self.node.boots != self._boots:
             raise DeviceFault("restarted on the way", device=self.name)
         if not status.voltage:
             raise SafetyOpen("stopped, no power", device=self.name)
+        if said is not None and (self._halted or status.state is State.OPERATION_ENABLED):
+            # A quick stop of its own is undone by a controlword that was still on its way, and then looks arrived. A
+            # hard stop of its own is felt by the force guard, whose halt must not hide what came first.
+            raise DeviceFault(f"reported {drive.error_text(said.code)} on the way", device=self.name)
         if status.state is State.OPERATION_ENABLED:
             if status.bit(drive.DEVIATION):
                 raise DeviceFault(f"following or homing error: {await self._error()}", device=self.name)
-            if (said := self.node.emergency) is not None:
-                # A quick stop of its own is undone by a controlword that was still on its way, and then looks arrived.
-                raise DeviceFault(f"reported {drive.error_text(said.code)} on the way", device=self.name)
             return
         if status.state is State.FAULT_REACTION:
             return  # it stops; the fault comes when it stands
