@@ -113,8 +113,17 @@ CASES = (
 def run_of(number: int) -> tuple[str, str]:
     """A word for the tally, and what is wrong, or empty."""
     case = CASES[number % len(CASES)]
+    return judged(case, ended_of(case, number))
+
+
+def ended_of(case: Case, number: int) -> Ended | None:
+    """The run of that number; None where it ended before the fault."""
     with tempfile.TemporaryDirectory(prefix="wire-", dir="/tmp") as folder:
-        ended = _quickened(case, number, Path(folder))
+        return _quickened(case, number, Path(folder))
+
+
+def judged(case: Case, ended: Ended | None) -> tuple[str, str]:
+    """As `run_of`."""
     if ended is None:
         return f"{case.name}: missed", ""
     word = "goes on" if ended.verdict == "accepted" else ended.state
@@ -150,7 +159,7 @@ async def struck(case: Case, number: int, folder: Path) -> Ended | None:
     summary = await made.store.get(made.assembly.run_id)
     record = made.store.record_path(made.assembly.run_id)
     rows, faults = told_by(record) if record is not None else ((), ("no record was sealed",))
-    reasons = (*summary.reasons, *([why] if why else []))
+    reasons = tuple(dict.fromkeys([*summary.reasons, *([why] if why else [])]))
     verdict = summary.verdict or "held"
     ended = Ended(state.value, verdict, reasons, truth.reasons, tuple(begun), rows, faults, after)
     return ended if hit else None
@@ -218,10 +227,12 @@ def main(argv: list[str]) -> int:
     logging.disable(logging.CRITICAL)
     bad = 0
     for number in map(int, argv) if argv else range(len(CASES)):
-        begun_s = time.process_time()
-        word, reason = run_of(number)
+        begun_s, case = time.process_time(), CASES[number % len(CASES)]
+        ended = ended_of(case, number)
+        word, reason = judged(case, ended)
         bad += bool(reason)
-        print(f"{number} {word} ({time.process_time() - begun_s:.0f} s of CPU) {reason}", flush=True)
+        print(f"{number} {word} ({time.process_time() - begun_s:.0f} s of CPU)", flush=True)
+        print(f"   said: {'; '.join(ended.reasons) if ended else ''}\n   wrong: {reason}", flush=True)
     return 3 if bad else 0
 
 
