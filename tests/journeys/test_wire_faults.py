@@ -48,6 +48,7 @@ def test_a_run_that_goes_on_or_is_held_for_the_true_reason_is_right() -> None:
         (replace(GOOD, begun=()), "joint 0 is told 1 times in stage snug, and was tightened 0"),
         (replace(GOOD, untrue=("yielded: 0",)), "accepted, but in truth yielded: 0"),
         (replace(GOOD, state="Held"), "accepted in state Held"),
+        (replace(GOOD, struck=False), "ended before the fault"),
         (replace(GOOD, record=("row 3 is not what was written",)), "row 3"),
         (replace(HELD, reasons=("gun_a: alarm",)), "does not say what is true"),
         (replace(HELD, reasons=()), "does not say what is true"),

@@ -25,6 +25,7 @@ from cellctl.twin import truth_limits, twin_of
 from hal.clock import QuickenedLoop
 from hal.codec import cia301 as cia
 from hal.codec.open_protocol_messages import INPUT_SET
+from hal.config import CellConfig
 from hal.fake.devices.guns import joints_of
 from hal.fake.plant import Plant
 from hal.fake.truth import truth_of
@@ -37,6 +38,7 @@ from tests.journeys.wire_runs import CATCH_UP_S, SPEED, wire_cell
 from tests.journeys.wire_strikes import JACK, Strike, Wires
 
 BRISK = {"pdo_s": 1.0, "heartbeat_s": 1.0, "rate_hz": 100.0}
+GUN_RATE_HZ = 25.0
 """Fewer messages than in a hall, for a loop that is to run fast."""
 LONGEST_S = 3000.0
 """Cell seconds that a run may take, whatever happens to it."""
@@ -116,28 +118,34 @@ def run_of(number: int) -> tuple[str, str]:
     return judged(case, ended_of(case, number))
 
 
-def ended_of(case: Case, number: int) -> Ended | None:
-    """The run of that number; None where it ended before the fault."""
+def ended_of(case: Case, number: int) -> Ended:
+    """The run of that number."""
     with tempfile.TemporaryDirectory(prefix="wire-", dir="/tmp") as folder:
         return _quickened(case, number, Path(folder))
 
 
-def judged(case: Case, ended: Ended | None) -> tuple[str, str]:
+def judged(case: Case, ended: Ended) -> tuple[str, str]:
     """As `run_of`."""
-    if ended is None:
-        return f"{case.name}: missed", ""
     word = "goes on" if ended.verdict == "accepted" else ended.state
     return f"{case.name}: {word}", "; ".join(wrong(ended, case.blames, goes_on=case.goes_on))
 
 
-def _quickened(case: Case, number: int, folder: Path) -> Ended | None:
+def _quickened(case: Case, number: int, folder: Path) -> Ended:
     with asyncio.Runner(loop_factory=partial(QuickenedLoop, SPEED, CATCH_UP_S)) as runner:
         return runner.run(struck(case, number, folder))
 
 
-async def struck(case: Case, number: int, folder: Path) -> Ended | None:
-    """One run with the fault of `case` on it; None where it ended before the fault."""
-    recipe, config, jobs = brisk_recipe(), wire_cell(folder, **BRISK), RememberedJobs()
+def brisk_wire_cell(folder: Path) -> CellConfig:
+    """The wire cell with few messages."""
+    config = wire_cell(folder, **BRISK)
+    slow = {"rate_hz": GUN_RATE_HZ}
+    guns = {name: config.entries[name].model_copy(update=slow) for name in ("gun_force_a", "gun_force_b")}
+    return config.model_copy(update={"devices": config.devices.model_copy(update=guns)})
+
+
+async def struck(case: Case, number: int, folder: Path) -> Ended:
+    """One run with the fault of `case` on it."""
+    recipe, config, jobs = brisk_recipe(), brisk_wire_cell(folder), RememberedJobs()
     seed = 1 + number // len(CASES)
     twin = twin_of(recipe, config, jobs, seed=seed)
     begun = witness(joints_of(twin.plant))
@@ -161,8 +169,7 @@ async def struck(case: Case, number: int, folder: Path) -> Ended | None:
     rows, faults = told_by(record) if record is not None else ((), ("no record was sealed",))
     reasons = tuple(dict.fromkeys([*summary.reasons, *([why] if why else [])]))
     verdict = summary.verdict or "held"
-    ended = Ended(state.value, verdict, reasons, truth.reasons, tuple(begun), rows, faults, after)
-    return ended if hit else None
+    return Ended(state.value, verdict, reasons, truth.reasons, tuple(begun), rows, faults, after, hit)
 
 
 async def _to_the_end(made: Composed) -> State:
@@ -232,7 +239,7 @@ def main(argv: list[str]) -> int:
         word, reason = judged(case, ended)
         bad += bool(reason)
         print(f"{number} {word} ({time.process_time() - begun_s:.0f} s of CPU)", flush=True)
-        print(f"   said: {'; '.join(ended.reasons) if ended else ''}\n   wrong: {reason}", flush=True)
+        print(f"   said: {'; '.join(ended.reasons)}\n   wrong: {reason}", flush=True)
     return 3 if bad else 0
 
 

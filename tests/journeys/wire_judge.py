@@ -37,7 +37,8 @@ class Ended:
     """How a run ended, and what is true beside it.
 
     `after` is the state that the cell came to once the fault was over and an operator had cleared it, with the reason
-    where that is not Idle; empty where the run went on to its end. `rows` are those of the record.
+    where that is not Idle; empty where the run went on to its end. `rows` are those of the record. `struck`: the run
+    did not end before the fault.
     """
 
     state: str
@@ -48,6 +49,7 @@ class Ended:
     rows: tuple[Row, ...]
     record: tuple[str, ...]
     after: str = ""
+    struck: bool = True
 
 
 def witness(joints: Joints) -> list[Begun]:
@@ -91,6 +93,8 @@ def twice(begun: Iterable[Begun]) -> Iterator[str]:
 
 def _outcome(ended: Ended, blames: tuple[str, ...], goes_on: bool) -> Iterator[str]:
     told = f"{ended.state}, {ended.verdict}: {'; '.join(ended.reasons)}"
+    if not ended.struck:
+        yield f"ended before the fault: {told}"
     if ended.verdict == "accepted":
         if ended.untrue:
             yield f"accepted, but in truth {'; '.join(ended.untrue)}"
