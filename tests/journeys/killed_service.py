@@ -48,7 +48,7 @@ PATIENT = {
     "heartbeat_s = 0.1 ": "heartbeat_s = 1.0 ",
     "heartbeat_s = 0.1\n": "heartbeat_s = 1.0\n",
     "stale_ms = 150.0": "beat_ms = 1000.0\nquiet_ms = 3000.0\nstale_ms = 600.0",
-    "read_s = 1.0": "read_s = 3.0",
+    "read_s = 1.0": "read_s = 2.0",
 }
 UP_S = 5.0
 START_S = 60.0

@@ -34,9 +34,12 @@ from tests.journeys import wire_strikes as do
 from tests.journeys.stops import brisk_recipe
 from tests.journeys.twin_runs import RememberedJobs
 from tests.journeys.wire_judge import Begun, Ended, told_by, witness, wrong
-from tests.journeys.wire_runs import CATCH_UP_S, SPEED, wire_cell
+from tests.journeys.wire_runs import CATCH_UP_S, wire_cell
 from tests.journeys.wire_strikes import JACK, Strike, Wires
 
+SPEED = 15.0
+STALE_MS = 1000.0
+"""Slow and patient enough for bytes of a pseudo-terminal to come in time on a desk that is busy with other things."""
 BRISK = {"pdo_s": 1.0, "heartbeat_s": 1.0, "rate_hz": 100.0}
 GUN_RATE_HZ = 25.0
 """Fewer messages than in a hall, for a loop that is to run fast."""
@@ -140,7 +143,8 @@ def brisk_wire_cell(folder: Path) -> CellConfig:
     config = wire_cell(folder, **BRISK)
     slow = {"rate_hz": GUN_RATE_HZ}
     guns = {name: config.entries[name].model_copy(update=slow) for name in ("gun_force_a", "gun_force_b")}
-    return config.model_copy(update={"devices": config.devices.model_copy(update=guns)})
+    guard = config.guard.model_copy(update={"stale_ms": STALE_MS})
+    return config.model_copy(update={"devices": config.devices.model_copy(update=guns), "guard": guard})
 
 
 async def struck(case: Case, number: int, folder: Path) -> Ended:
