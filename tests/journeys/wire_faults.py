@@ -22,6 +22,7 @@ from cellctl.runner import ENDED, Composed, RunRequest, compose
 from cellctl.safety_watch import watch_safety
 from cellctl.states import Command, State
 from cellctl.twin import truth_limits, twin_of
+from hal.cell import CellFailure
 from hal.clock import QuickenedLoop
 from hal.codec import cia301 as cia
 from hal.codec.open_protocol_messages import INPUT_SET
@@ -48,6 +49,7 @@ LONGEST_S = 3000.0
 BACK_S = 120.0
 """Cell seconds within which the cell is ready again once the fault is over and an operator asks for it."""
 LOOK_S = 0.02
+CONNECTS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +159,7 @@ async def struck(case: Case, number: int, folder: Path) -> Ended:
         made = compose(RunRequest(recipe, config, seed, folder / "data", keep="none", jobs=jobs))
         wires = Wires(stand, config, Random(number))
         try:
-            await made.connect()
+            await _connected(made)
             striking = asyncio.create_task(_strike(case, wires, made.controller, twin.plant, begun))
             async with asyncio.timeout(LONGEST_S):
                 state = await _to_the_end(made)
@@ -174,6 +176,18 @@ async def struck(case: Case, number: int, folder: Path) -> Ended:
     reasons = tuple(dict.fromkeys([*summary.reasons, *([why] if why else [])]))
     verdict = summary.verdict or "held"
     return Ended(state.value, verdict, reasons, truth.reasons, tuple(begun), rows, faults, after, hit)
+
+
+async def _connected(made: Composed) -> None:
+    """All devices, tried again as an operator does: a pseudo-terminal may still be in use by its last owner."""
+    for left in reversed(range(CONNECTS)):
+        try:
+            await made.connect()
+            return
+        except CellFailure:
+            if not left:
+                raise
+        await asyncio.sleep(5.0)
 
 
 async def _to_the_end(made: Composed) -> State:
