@@ -28,14 +28,13 @@ from cellctl.api.metrics import Metrics
 from cellctl.api.server import Server, bound, make_server
 from cellctl.api.services import Services
 from cellctl.controller import Controller, Snapshot
+from cellctl.cut_off import give_up
 from cellctl.dry_runs import DryRuns, TwinOutcome
 from cellctl.event_log import EventLog
 from cellctl.orders import Fault, Order, OrderBook, OrderRefused
 from cellctl.recipe import Recipe
 from cellctl.recipe_book import RecipeBook, load_book
-from cellctl.records.errors import RecordError, UnknownRun
 from cellctl.records.store import RunStore
-from cellctl.records.summary import RunEnded
 from cellctl.safety_watch import watch_safety
 from cellctl.service_rules import Settings, real_devices, refuse_unfit
 from cellctl.session import SafeCell, Session
@@ -44,6 +43,7 @@ from cellctl.stamps import Stamps, WallStamps
 from cellctl.states import Command
 from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
+from hal.interfaces import TighteningResult
 from hal.jobs import ProcessJobs
 from hal.owner import sole_user
 
@@ -88,6 +88,10 @@ class Workplace(SafeCell, Protocol):
 
     async def session(self, order: Order, recipe: Recipe) -> Session:
         """A run of that order. Raises CellError where the cell cannot be set up for it."""
+        ...
+
+    async def kept(self, gun: str, key: str) -> TighteningResult | None:
+        """What the gun of that name kept of the tightening under `key`. Raises CellError."""
         ...
 
     async def on_twin(self, recipe: Recipe, seed: int) -> TwinOutcome:
@@ -217,29 +221,11 @@ async def _begin(
     looks before anything moves, and what is not connected is connected when that person clears.
     """
     interrupted = orders.interrupted()
-    cut_off = "" if interrupted is None else await _give_up(interrupted, orders, store, stamps)
+    cut_off = "" if interrupted is None else await give_up(interrupted, orders, store, stamps, workplace.kept)
     if why := "; ".join(filter(None, (cut_off, workplace.unreachable))):
         controller.request(Command.ABORT, why)
     else:
         controller.request(Command.RESET)
-
-
-async def _give_up(order: Order, orders: OrderBook, store: RunStore, stamps: Stamps) -> str:
-    """Seal what is left of a run that was cut off; the sentence that the operator reads."""
-    why = f"the service ended during run {order.run_id}"
-    try:
-        opened, unknown = await store.resume(order.run_id, stamps)
-    except UnknownRun:
-        pass  # it was cut off before its journal was begun
-    except RecordError as error:
-        why = f"{why}; its journal cannot be read: {error.reason}"
-    else:
-        if unknown:
-            commands = ", ".join(sorted({f"{row.value['device']} {row.value['command']}" for row in unknown}))
-            why = f"{why}; it is not known what became of: {commands}"
-        await opened.end(RunEnded("Aborted", "held", (why,)))
-    await orders.give_up(order)
-    return why
 
 
 def fitting(book: RecipeBook, workplace: Workplace, name: str, version: int) -> Recipe:

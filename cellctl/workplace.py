@@ -32,7 +32,7 @@ from cellctl.twin import RENDERING, StandingCell, standing_cell
 from cellctl.vision.worker import WARM, VisionWorker
 from hal.config import CellConfig
 from hal.errors import CellError, ConfigError
-from hal.interfaces import Identity
+from hal.interfaces import Gun, Identity, TighteningResult
 from hal.jobs import ProcessJobs
 
 JOB_DEADLINE_S = 60.0
@@ -155,6 +155,11 @@ class CellWorkplace:
             on_phase=self._bench.enter_phase,
         )
         return _Tried(assembly, lambda: self._dry_run(order, recipe))
+
+    async def kept(self, gun: str, key: str) -> TighteningResult | None:
+        """What a gun's own controller kept of the tightening under `key`, or None. Raises CellError."""
+        controller: Gun = getattr(self._bench.cell, gun)
+        return await controller.result(key)
 
     async def on_twin(self, recipe: Recipe, seed: int) -> TwinOutcome:
         """A run on a private twin in a worker process: the calibration's belief is its truth."""

@@ -88,17 +88,28 @@ class Permits:
 
 
 async def _answers(asked: Mapping[str, Callable[[], Awaitable[Any]]], within_s: float) -> dict[str, Any]:
-    """What each gives, one after the other within `within_s` in all; None for one that fails or is late."""
-    deadline = asyncio.get_running_loop().time() + within_s
+    """What each gives, one after the other within `within_s` in all; None for one that fails or is late.
+
+    Behind one that uses up the time the others are asked at once, with as much time again: none is unknown because of
+    another.
+    """
     answers: dict[str, Any] = {}
-    while len(answers) < len(asked):  # once more only behind one that used up the time
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout_at(deadline):
-                for name, read in list(asked.items())[len(answers) :]:
-                    answers[name] = None
-                    with contextlib.suppress(DeviceError):
-                        answers[name] = await read()
-    return answers
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(within_s):
+            for name, read in asked.items():
+                answers[name] = None
+                with contextlib.suppress(DeviceError):
+                    answers[name] = await read()
+    left = [name for name in asked if name not in answers]
+    found = await asyncio.gather(*(_in_time(asked[name], within_s) for name in left))
+    return answers | dict(zip(left, found, strict=True))
+
+
+async def _in_time(read: Callable[[], Awaitable[Any]], within_s: float) -> Any:
+    with contextlib.suppress(DeviceError, TimeoutError):
+        async with asyncio.timeout(within_s):
+            return await read()
+    return None
 
 
 def _error(device: str, readings: Readings, reason: str | None) -> CellError | None:

@@ -25,6 +25,7 @@ from hal.config import Level, load_cell
 from hal.fake.fault_file import load_faults
 from tests.dead.processes import moment
 from tests.dead.races import raced
+from tests.journeys import killed_service, wire_faults
 from tests.journeys.stops import stopped
 from tests.journeys.swarm import broken, random_faults, wrong_truth
 from tests.journeys.twin_runs import (
@@ -134,9 +135,18 @@ def dead(number: int) -> Result:
     return Result(*moment(number))
 
 
-def wires(number: int) -> Result:
+def buses(number: int) -> Result:
     """A fault on one of the buses at a random moment."""
     return Result(*numbered(number))
+
+
+def wire(number: int) -> Result:
+    """One fault on the wire in a whole run; after all of them the service killed in mid-tightening, in real time."""
+    turn, case = divmod(number, len(wire_faults.CASES) + 1)
+    if case < len(wire_faults.CASES):
+        return Result(*wire_faults.run_of(turn * len(wire_faults.CASES) + case))
+    done = killed_service.killed(1 + turn)
+    return Result(f"service killed: {done.state}, then {done.verdict}", "; ".join(done.wrong))
 
 
 def seen(numbers: Callable[[int], tuple[str, str]], number: int) -> Result:
@@ -156,7 +166,8 @@ def campaigns() -> dict[str, Campaign]:
         "stops": partial(stops, jobs),
         "races": races,
         "dead": dead,
-        "wires": wires,
+        "buses": buses,
+        "wire": wire,
         "elements": partial(seen, nights.elements),
         "studs": partial(seen, nights.studs),
         "flanges": partial(seen, nights.flanges),

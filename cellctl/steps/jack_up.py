@@ -90,7 +90,7 @@ async def _approach(run: RunContext, aligned: Aligned, weight_n: float) -> Tare:
 
 def _require_free(state: GuardState) -> None:
     if state.tripped:
-        raise RunHeld("force_on_approach", f"{state.reason} on the approach, where nothing should touch")
+        raise RunHeld("force_on_approach", f"tripped on the approach, where nothing should touch: {state.reason}")
 
 
 async def _insert(run: RunContext, aligned: Aligned, tare: Tare) -> GuardState:

@@ -48,7 +48,8 @@ def check(watch: Watch, block: ForceBlock, now: float) -> tuple[Watch, Trip | No
     if count == 0:
         return watch, Trip(f"{limits.label}: the sensor delivered no samples")
     if watch.next_sequence is not None and block.sequence != watch.next_sequence:
-        return watch, Trip(f"{limits.label}: sample {watch.next_sequence} expected, {block.sequence} came")
+        gap = f"sample {watch.next_sequence} expected, {block.sequence} came"
+        return watch, Trip(f"{limits.label}: the force sensor's samples have a gap: {gap}")
     low_n, high_n = float(block.samples_n.min()) - limits.tare_n, float(block.samples_n.max()) - limits.tare_n
     seen = Watch(
         watch.limits,

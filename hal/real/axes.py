@@ -346,22 +346,24 @@ class CanAxis:
 
     async def _refuse(self, status: Status) -> None:
         """Why a motion under way has ended; nothing while it goes on. Raises as `move_to`."""
-        if self._halted:
+        said = self.node.emergency
+        if self._halted and (said is None or not status.voltage):
             raise Interrupted("halted on the way", device=self.name)
         if self.node.boots != self._boots:
             raise DeviceFault("restarted on the way", device=self.name)
         if not status.voltage:
             raise SafetyOpen("stopped, no power", device=self.name)
+        if said is not None and (self._halted or status.state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)):
+            # A quick stop of its own is undone by a controlword that was still on its way, and then looks arrived. It
+            # is felt by the force guard too, whose halt must not hide what came first.
+            raise DeviceFault(f"reported {drive.error_text(said.code)} on the way", device=self.name)
         if status.state is State.OPERATION_ENABLED:
             if status.bit(drive.DEVIATION):
                 raise DeviceFault(f"following or homing error: {await self._error()}", device=self.name)
-            if (said := self.node.emergency) is not None:
-                # A quick stop of its own is undone by a controlword that was still on its way, and then looks arrived.
-                raise DeviceFault(f"reported {drive.error_text(said.code)} on the way", device=self.name)
             return
         if status.state is State.FAULT_REACTION:
             return  # it stops; the fault comes when it stands
-        if status.state is State.QUICK_STOP_ACTIVE and self.node.emergency is None:
+        if status.state is State.QUICK_STOP_ACTIVE:
             raise Interrupted("halted on the way", device=self.name)
         reason = await self._error()
         await asyncio.sleep(POLL_S)  # a drive may leave its state a moment before it says that the power has gone

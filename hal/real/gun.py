@@ -221,7 +221,7 @@ class OpenProtocolGun:
         with self._readable():
             found = await self._search(session, key)
         self._acknowledge(session)
-        return None if found is None else await self._with_curves(found)
+        return None if found is None else await self._with_curves(found, wait_s=0.0)
 
     async def _perform(self, identifier: str, wanted: m.ParameterSet, limit_s: float) -> Result:
         session = self._link.session()
@@ -332,10 +332,10 @@ class OpenProtocolGun:
             await self._fetch(session, number)
         return self._records.of(key)
 
-    async def _with_curves(self, result: Result) -> TighteningResult:
+    async def _with_curves(self, result: Result, *, wait_s: float = RESULT_S) -> TighteningResult:
         """The curves come behind the result; those that do not are asked for. Without them the trace is empty."""
         records, number = self._records, result.number
-        if not records.has_curves(number) and not await records.until(lambda: records.has_curves(number), RESULT_S):
+        if not records.has_curves(number) and not await records.until(lambda: records.has_curves(number), wait_s):
             with contextlib.suppress(DeviceError):
                 for kind in (t.ANGLE, t.TORQUE):
                     if (curve := await asking.old_curve(self._link.session(), number, kind)) is not None:

@@ -13,7 +13,7 @@ import pytest
 from hal.clock import run_virtual
 from hal.errors import DeviceFault, DeviceRefused, GuardTripped, Interrupted, NotConnected, SafetyError, SafetyOpen
 from hal.guard.inloop import InLoopGuard
-from hal.interfaces import Axis, AxisState, GuardLimits
+from hal.interfaces import Axis, AxisState, GuardLimits, SafetyState
 from hal.interlocks import WATCH_S, Permits
 from hal.latch import Latch
 from hal.permits import AxisName, PermitLimits
@@ -88,6 +88,24 @@ def test_a_device_that_gives_no_answer_is_unknown(how: str) -> None:
         with pytest.raises(DeviceRefused, match="camera"):
             await bench.axes["jack"].move_to(50.0, speed=10.0)
         assert asyncio.get_running_loop().time() <= LIMITS.read_s + 1e-6
+
+    run(main())
+
+
+def test_a_device_that_uses_up_the_time_does_not_make_others_unknown() -> None:
+    async def main() -> None:
+        bench = Bench()
+        bench.bare["jack"].hang = True
+        quick = bench.safety.read
+
+        async def over_a_wire() -> SafetyState:
+            await asyncio.sleep(0.01)
+            return await quick()
+
+        bench.safety.read = over_a_wire  # type: ignore[method-assign]
+        with pytest.raises(DeviceRefused, match="jack does not say where it is"):
+            await bench.axes["jack"].move_to(50.0, speed=10.0)
+        assert asyncio.get_running_loop().time() <= 2.0 * LIMITS.read_s + 1e-6
 
     run(main())
 

@@ -139,6 +139,21 @@ def test_an_emergency_in_motion_is_told_with_its_reason() -> None:
     on_wire(case)
 
 
+def test_a_halt_does_not_hide_the_emergency_that_came_first() -> None:
+    async def case(wire: Wire) -> None:
+        for _ in range(ROUNDS):
+            move = under_way(wire.axis, 400.0)
+            await asyncio.sleep(0.5)
+            wire.node.emergency(0x2310)
+            await asyncio.sleep(0.01)  # the guard feels how it brakes
+            await wire.axis.halt()
+            with pytest.raises(DeviceFault, match="over-current"):
+                await move
+            await safe_again(wire.axis)
+
+    on_wire(case)
+
+
 def test_a_drive_that_restarts_in_motion_is_set_again_before_it_may_move() -> None:
     async def case(wire: Wire) -> None:
         for _ in range(ROUNDS):

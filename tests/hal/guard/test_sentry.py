@@ -98,7 +98,7 @@ def test_missing_and_old_samples_trip() -> None:
     guarded.sentry.arm(LIMITS, 0.010)
     guarded.samples(0.011, 1001.0)
     guarded.samples(0.013, 1001.0)
-    assert "sample 12 expected, 13 came" in guarded.reason
+    assert "the force sensor's samples have a gap: sample 12 expected, 13 came" in guarded.reason
     guarded = Guarded()
     guarded.sentry.arm(LIMITS, 0.0)
     guarded.samples(0.012, 1001.0, age_s=0.006)
