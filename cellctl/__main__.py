@@ -16,7 +16,7 @@ libraries when they are first imported, so set before any command is."""
 
 COMMANDS = (
     "demo", "serve", "simulate", "run", "measure", "validate", "study", "verify", "report", "devices", "jog", "capture",
-    "calibrate",
+    "calibrate", "keys",
 )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ Everything lives in one event loop whose clock may be quickened; heavy work is d
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import gc
 import logging
 import os
@@ -18,9 +19,11 @@ from typing import Protocol
 
 import httpx
 from fastapi import FastAPI
+from fastapi.responses import StreamingResponse
 
 from cellctl.api.app import create_app
-from cellctl.api.auth import Allow, DemoAuth, declared
+from cellctl.api.auth import Allow, Authenticator, DemoAuth, declared
+from cellctl.api.keys import KeyAuth
 from cellctl.api.metrics import Metrics
 from cellctl.api.server import Server, bound, make_server
 from cellctl.api.services import Services
@@ -34,7 +37,7 @@ from cellctl.records.errors import RecordError, UnknownRun
 from cellctl.records.store import RunStore
 from cellctl.records.summary import RunEnded
 from cellctl.safety_watch import watch_safety
-from cellctl.service_rules import Settings, refuse_unfit
+from cellctl.service_rules import Settings, real_devices, refuse_unfit
 from cellctl.session import SafeCell, Session
 from cellctl.signals import ending
 from cellctl.stamps import Stamps, WallStamps
@@ -42,6 +45,7 @@ from cellctl.states import Command
 from hal.config import CellConfig, load_cell
 from hal.errors import ConfigError
 from hal.jobs import ProcessJobs
+from hal.owner import sole_user
 
 TOKEN_FILE = "demo-token"
 LOOK_DEADLINE_S = 60.0
@@ -57,12 +61,25 @@ class Workplace(SafeCell, Protocol):
         """Why no order can be worked on, or an empty string."""
         ...
 
+    @property
+    def unreachable(self) -> str:
+        """Why devices are not connected, or an empty string."""
+        ...
+
+    def is_simulated(self) -> bool:
+        """Whether any device is a simulation, or may be one because it is not connected."""
+        ...
+
+    async def connect(self) -> str:
+        """Connect what is not connected; the reason where that failed, or an empty string."""
+        ...
+
     def faults(self, recipe: Recipe) -> tuple[Fault, ...]:
         """What makes the recipe unfit for this cell."""
         ...
 
     async def ready(self) -> str:
-        """Connect what is not connected and look at what Idle needs; the reason against it, or an empty string."""
+        """The reason against Idle, or an empty string."""
         ...
 
     async def until_unsafe(self) -> str:
@@ -87,7 +104,7 @@ OpenWorkplace = Callable[[CellConfig, RecipeBook, RunStore, Stamps, Path], Async
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """A service that listens. `stop` ends it."""
+    """A service that listens. `token` is the demo's, empty where the sign-in is by keys; `stop` ends it."""
 
     url: str
     token: str
@@ -101,20 +118,24 @@ async def serve(
 ) -> None:
     """Serve until SIGTERM, SIGINT or `Service.stop`, or, with `during`, until that has returned.
 
-    Raises ConfigError for files or settings that do not fit, and what `during` raises.
+    Raises ConfigError for files or settings that do not fit, DeviceRefused where the cell's devices are in other hands,
+    and what `during` raises.
     """
     config = load_cell(settings.cell)
     refuse_unfit(settings, config)
     sock = _socket(settings)
     async with AsyncExitStack() as stack:
         stack.callback(sock.close)
-        services, auth = await _services(stack, settings, config, open_workplace)
+        if real_devices(config):  # fakes live in this process
+            stack.enter_context(sole_user(config.path))
+        auth, token = _sign_in(settings, config)
+        services = await _services(stack, settings, config, auth, open_workplace)
         app = create_app(services)
-        await _warm(app, auth.token)
+        await _warm(app)
         server = make_server(app, wall_s=settings.speed)
         await stack.enter_async_context(_listening(server, sock))
         told = asyncio.Event()
-        service = Service(f"http://{_host(settings.host)}:{server.port}", auth.token, services, settings.data, told.set)
+        service = Service(f"http://{_host(settings.host)}:{server.port}", token, services, settings.data, told.set)
         with ending(told.set):
             await _until(told, during(service) if during is not None else None)
             # The cell is stopped while the API can still be watched; then open streams end, so that none of them
@@ -132,8 +153,12 @@ def _socket(settings: Settings) -> socket.socket:
 
 
 async def _services(
-    stack: AsyncExitStack, settings: Settings, config: CellConfig, open_workplace: OpenWorkplace
-) -> tuple[Services, DemoAuth]:
+    stack: AsyncExitStack,
+    settings: Settings,
+    config: CellConfig,
+    auth: Authenticator,
+    open_workplace: OpenWorkplace,
+) -> Services:
     stamps = WallStamps()
     events = EventLog(stamps.now)
     store = RunStore(settings.data)
@@ -142,7 +167,12 @@ async def _services(
     opened = asynccontextmanager(open_workplace)(config, book, store, stamps, settings.data)
     workplace = await stack.enter_async_context(opened)
     controller = Controller(
-        workplace, events, safe_deadline_s=config.cell.safe_deadline_s, ready=workplace.ready, wall_s=settings.speed
+        workplace,
+        events,
+        safe_deadline_s=config.cell.safe_deadline_s,
+        ready=workplace.ready,
+        connect=workplace.connect,
+        wall_s=settings.speed,
     )
     stack.push_async_callback(controller.shutdown)
     metrics = Metrics(controller, events)
@@ -159,17 +189,9 @@ async def _services(
     dry_runs = DryRuns(workplace.on_twin, stamps)
     stack.push_async_callback(dry_runs.close)
     await stack.enter_async_context(_background(watch_safety(controller, workplace.until_unsafe)))
-    auth = _demo_auth(settings.data)
-    interrupted = orders.interrupted()
-    if interrupted is None:
-        controller.request(Command.RESET)
-    else:
-        # Whatever it was doing, nothing is known of it now: a person looks before anything moves.
-        why = await _give_up(interrupted, orders, store, stamps)
-        controller.request(Command.ABORT, why)
+    await _begin(workplace, controller, orders, store, stamps)
     return Services(
         cell_name=config.cell.name,
-        simulated=config.auth.mode == "demo",  # that sign-in is for devices which say so
         controller=controller,
         orders=orders,
         events=events,
@@ -179,10 +201,27 @@ async def _services(
         auth=auth,
         metrics=metrics,
         not_ready=lambda: workplace.failure,
+        is_simulated=workplace.is_simulated,
         time_left_s=workplace.time_left_s,
         jobs=jobs,
         wall_s=settings.speed,
-    ), auth
+    )
+
+
+async def _begin(
+    workplace: Workplace, controller: Controller, orders: OrderBook, store: RunStore, stamps: Stamps
+) -> None:
+    """To Idle, or to Aborted where something is not as it should be.
+
+    Whatever a run that was cut off was doing, nothing is known of it now, nor of devices that do not answer: a person
+    looks before anything moves, and what is not connected is connected when that person clears.
+    """
+    interrupted = orders.interrupted()
+    cut_off = "" if interrupted is None else await _give_up(interrupted, orders, store, stamps)
+    if why := "; ".join(filter(None, (cut_off, workplace.unreachable))):
+        controller.request(Command.ABORT, why)
+    else:
+        controller.request(Command.RESET)
 
 
 async def _give_up(order: Order, orders: OrderBook, store: RunStore, stamps: Stamps) -> str:
@@ -218,9 +257,18 @@ def fitting(book: RecipeBook, workplace: Workplace, name: str, version: int) -> 
     return recipe
 
 
+def _sign_in(settings: Settings, config: CellConfig) -> tuple[Authenticator, str]:
+    """Who is let in, and the demo's token or an empty string. Raises ConfigError for a file of keys that is none."""
+    if config.auth.mode == "keys":
+        return KeyAuth(config.keys_path), ""
+    auth = _demo_auth(settings.data)
+    return auth, auth.token
+
+
 def _demo_auth(data: Path) -> DemoAuth:
     """A new token at every start, readable by this user only."""
     auth = DemoAuth()
+    data.mkdir(parents=True, exist_ok=True)
     path = data / TOKEN_FILE
     path.unlink(missing_ok=True)
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -229,9 +277,13 @@ def _demo_auth(data: Path) -> DemoAuth:
     return auth
 
 
-async def _warm(app: FastAPI, token: str) -> None:
-    """Call every plain route once, then keep what start-up made out of the garbage collector's way."""
-    headers = {"Authorization": f"Bearer {token}"}
+async def _warm(app: FastAPI) -> None:
+    """Call every plain route once, then keep what start-up made out of the garbage collector's way. Nobody else can
+    call yet: for that time a token that is told to nobody is let in."""
+    services: Services = app.state.services
+    own = DemoAuth()
+    app.state.services = dataclasses.replace(services, auth=own)
+    headers = {"Authorization": f"Bearer {own.token}"}
     transport = httpx.ASGITransport(app, raise_app_exceptions=False)
     async with httpx.AsyncClient(transport=transport, base_url="http://warm", headers=headers) as client:
         for route in declared(app):
@@ -239,8 +291,15 @@ async def _warm(app: FastAPI, token: str) -> None:
                 await client.get(route.path)
             elif "POST" in route.methods and isinstance(route.access, Allow):
                 await client.post(route.path, json={})
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(StreamingResponse(_nothing()))) as client:
+        await client.get("http://warm")  # what streaming needs is imported with the first stream
+    app.state.services = services
     gc.collect()
     gc.freeze()
+
+
+async def _nothing() -> AsyncIterator[bytes]:
+    yield b""
 
 
 @asynccontextmanager

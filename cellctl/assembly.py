@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 
+from cellctl.calibrated_devices import other_devices
 from cellctl.calibration import Calibration
 from cellctl.ports import Checkpoint, Devices, GuardPlan, Interlock, Progress, RunContext, RunHeld, Vision
 from cellctl.recipe import Recipe
-from cellctl.recipe_checks import check, trip_force_n
+from cellctl.recipe_checks import check, insertion_trip_n
 from cellctl.records.blobs import Keep
 from cellctl.records.store import OpenRun, RunStore
 from cellctl.records.summary import RunEnded, RunHeader
@@ -18,6 +19,7 @@ from cellctl.session import Outcome, RunEnd
 from cellctl.stamps import Stamps
 from cellctl.steps.results import RunResult
 from hal.config import CellConfig
+from hal.interfaces import Identity
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,7 @@ class Bench:
     calibration: Calibration
     store: RunStore
     stamps: Stamps
-    identities: Mapping[str, object]
+    identities: Mapping[str, Identity]
 
 
 class Assembly:
@@ -152,7 +154,8 @@ def header_of(order: Order, bench: Bench) -> RunHeader:
 
 
 def refuse_unfit(order: Order, bench: Bench) -> None:
-    """Raises RunHeld with every finding that was not forced, or where the calibration is out of date."""
+    """Raises RunHeld with every finding that was not forced, or where the calibration is out of date or of other
+    devices than are there."""
     findings = [
         finding for finding in check(order.recipe, bench.config, bench.calibration) if finding.name not in order.forced
     ]
@@ -160,12 +163,14 @@ def refuse_unfit(order: Order, bench: Bench) -> None:
         raise RunHeld("recipe_refused", "; ".join(f"{f.name}: {f.reason}" for f in findings))
     if not bench.calibration.valid_at(bench.stamps.now()):
         raise RunHeld("calibration_expired", f"calibration {bench.calibration.id} is not valid today")
+    if others := other_devices(bench.calibration, bench.identities):
+        raise RunHeld("calibration_of_others", "; ".join(others))
 
 
 def guard_plan(recipe: Recipe, config: CellConfig) -> GuardPlan:
     """Trip force and block sizes from recipe and cell file."""
     return GuardPlan(
-        insert_trip_n=trip_force_n(recipe, config.guard, config.cell.moving_mass_kg),
+        insert_trip_n=insertion_trip_n(recipe, config),
         stale_ms=config.guard.stale_ms,
         contact_block=config.guard.contact_block,
     )

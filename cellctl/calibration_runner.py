@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from cellctl.calibrated_devices import told
 from cellctl.calibrating.entry import Part, put_in, require_same_devices
 from cellctl.calibrating.hang import force, spread_masses
 from cellctl.calibrating.look import camera
@@ -28,8 +29,8 @@ from cellctl.vision.worker import WARM
 from hal.cell import Cell
 from hal.clock import run_virtual
 from hal.config import CellConfig
-from hal.interfaces import Identity
 from hal.jobs import InlineJobs, Jobs, ProcessJobs
+from hal.owner import sole_user
 
 USED: dict[Procedure, tuple[str, ...]] = {
     "camera": ("scanner", "camera_park"),
@@ -69,8 +70,9 @@ def calibrate_once(request: CalibrationRequest) -> Calibration:
 
 
 async def _in_real_time(request: CalibrationRequest) -> Calibration:
-    async with ProcessJobs(modules=WARM) as jobs:
-        return await calibrate_here(request, jobs)
+    with sole_user(request.config.path):
+        async with ProcessJobs(modules=WARM) as jobs:
+            return await calibrate_here(request, jobs)
 
 
 async def calibrate_here(request: CalibrationRequest, jobs: Jobs) -> Calibration:
@@ -80,7 +82,7 @@ async def calibrate_here(request: CalibrationRequest, jobs: Jobs) -> Calibration
     started = stamps.now()
     cell = standing_cell(request.recipe, config, jobs, seed=request.seed).cell
     try:
-        devices = {name: told(identity) for name, identity in (await cell.connect()).items()}
+        devices = await cell.connect()
         require_same_devices(request.base, request.procedure, devices)
         await cell.rearm()
         part = await _procedure(request, cell, jobs)
@@ -93,7 +95,7 @@ async def calibrate_here(request: CalibrationRequest, jobs: Jobs) -> Calibration
         name=config.cell.name,
         started=started,
         until=_until(started, request.valid_days),
-        devices={name: devices[name] for name in USED[request.procedure]},
+        devices={name: told(devices[name]) for name in USED[request.procedure]},
     )
 
 
@@ -123,11 +125,6 @@ async def _procedure(request: CalibrationRequest, cell: Cell, jobs: Jobs) -> Par
             masses = request.masses_kg or spread_masses(cell.jack_force.range_n)
             found = await force(stand, masses, request.mass_sigma, cell.jack_force.range_n)
             return of_force(found, len(masses))
-
-
-def told(identity: Identity) -> str:
-    """A device in one line."""
-    return f"{identity.vendor} {identity.model}, serial {identity.serial}, firmware {identity.firmware}"
 
 
 def base_path(config: CellConfig, given: Path | None, output: Path) -> Path:

@@ -17,7 +17,7 @@ from cellctl.alarms import Alarm, AlarmBoard
 from cellctl.event_log import EventLog
 from cellctl.failures import INTERNAL_ERROR, Failure, failure_of
 from cellctl.gate import Gate
-from cellctl.halting import prove_safe
+from cellctl.halting import answer_of, prove_safe
 from cellctl.session import Ending, Outcome, RunEnd, SafeCell, Session
 from cellctl.states import ON_DONE, Command, Refused, State, after, allowed_commands
 
@@ -50,7 +50,8 @@ class Snapshot:
 
 
 class Controller:
-    """State machine of the cell. `ready` names what forbids Idle, or returns an empty string.
+    """State machine of the cell. `ready` names what forbids Idle, or returns an empty string; `connect` connects what
+    is not connected and gives the reason where that failed.
 
     `wall_s` is how many seconds of the loop's time one second of the wall lasts: what waits for disks and worker
     processes is limited in seconds of the wall.
@@ -63,12 +64,14 @@ class Controller:
         *,
         safe_deadline_s: float,
         ready: Callable[[], Awaitable[str]] | None = None,
+        connect: Callable[[], Awaitable[str]] | None = None,
         wall_s: float = 1.0,
     ) -> None:
         self._cell = cell
         self._events = events
         self._deadline_s = safe_deadline_s
         self._ready = ready
+        self._connect = connect
         self._wall_s = wall_s
         self._state = State.STOPPED
         self._since_s = asyncio.get_running_loop().time()
@@ -333,9 +336,12 @@ class Controller:
         self._enter(State.IDLE)
 
     async def _clear(self, epoch: int) -> None:
-        """Latched alarms go only if every device is proven safe now."""
+        """Latched alarms go only if every device is connected and proven safe now."""
         self._alarms.clear()
-        await self._make_safe()
+        if unreachable := await answer_of(self._connect):
+            self._alarms.set("not_connected", unreachable, latched=True)
+        else:
+            await self._make_safe()
         if epoch != self._epoch:
             return
         latched = self._alarms.latched

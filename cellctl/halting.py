@@ -1,9 +1,9 @@
-"""Halting the whole cell with a deadline that holds even where a device or the cell itself hangs."""
+"""Halting the whole cell with a deadline that holds even where a device or the cell itself hangs; what it answers."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -42,3 +42,11 @@ async def prove_safe(
         return Proof(unsafe=unsafe)
     names = ", ".join(f"{name} ({detail})" for name, detail in unsafe.items())
     return Proof("not_safe", f"not proven safe: {names}", unsafe)
+
+
+async def answer_of(ask: Callable[[], Awaitable[str]] | None) -> str:
+    """The reason that `ask` gives or raises; empty where there is nothing to ask."""
+    try:
+        return await ask() if ask is not None else ""
+    except Exception as error:
+        return str(error)

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.calibration import Calibration
+from cellctl.docking import Alignment, AlignSpec
+from cellctl.kinematics import AxesPosition
 from cellctl.recipe import Recipe
 from cellctl.vision.part import Part, PartMeasurement
 from hal.interfaces import (
@@ -103,6 +105,12 @@ class Vision(Protocol):
 
     async def artefact(self, frame: Frame) -> NDArray[np.float64]:
         """Residuals (n, 3) in mm of the artefact's sphere centres, measured minus certified, cell frame."""
+        ...
+
+    async def align(
+        self, rotor: PartMeasurement, shaft: PartMeasurement, measured_at: AxesPosition, spec: AlignSpec
+    ) -> Alignment:
+        """Where the shaft has to go; `measured_at` is where the axes stood when the shaft was scanned."""
         ...
 
 

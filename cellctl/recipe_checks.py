@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from cellctl.calibration import Calibration
 from cellctl.checks.cell import calibration_findings, cell_findings
-from cellctl.checks.docking import contact_speed_findings, gate_findings, trip_force_n
+from cellctl.checks.docking import contact_speed_findings, gate_findings, insertion_trip_n
 from cellctl.checks.finding import Finding
 from cellctl.checks.heating import fit_heat_findings, heater_findings, heating_findings
 from cellctl.checks.parts import fit_findings, parts_findings
@@ -16,7 +16,7 @@ from cellctl.checks.tightening import pair_findings, preload_findings, stage_fin
 from cellctl.recipe import Recipe
 from hal.config import CellConfig
 
-__all__ = ["CHECK_NAMES", "Finding", "check", "trip_force_n"]
+__all__ = ["CHECK_NAMES", "Finding", "check", "insertion_trip_n"]
 
 CHECK_NAMES = (
     "align_gate", "cell_limits", "chamfer", "cold_interference", "contact_speed", "face", "features", "heat_timeout",

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from cellctl.assembly import Assembly, Bench, Order
-from cellctl.calibration import load_calibration
+from cellctl.calibration import Calibration, load_calibration
 from cellctl.controller import Controller
 from cellctl.event_log import EventLog
 from cellctl.recipe import Recipe
@@ -40,13 +40,17 @@ from hal.fake.fault_file import Fault
 from hal.fake.truth import Truth, truth_of
 from hal.interfaces import Identity
 from hal.jobs import InlineJobs, Jobs, ProcessJobs
+from hal.owner import sole_user
 
 ENDED = (State.COMPLETE, State.HELD, State.STOPPED, State.ABORTED)
 
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What is to be run. `level`, `points` and `overrides` stand in the cell's `[twin]`; `jobs` render and measure."""
+    """What is to be run. `level`, `points` and `overrides` stand in the cell's `[twin]`; `jobs` render and measure.
+
+    `calibration` takes the place of the one that the cell file names.
+    """
 
     recipe: Recipe
     config: CellConfig
@@ -58,6 +62,7 @@ class RunRequest:
     rotor_serial: str = "R-1"
     shaft_serial: str = "S-1"
     jobs: Jobs = field(default_factory=InlineJobs)
+    calibration: Calibration | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +104,8 @@ class Outcome:
 def run_once(request: RunRequest) -> Outcome:
     """Run one assembly to its end: under virtual time where every device is fake, in real time elsewhere.
 
-    Raises ConfigError for a recipe the twin cannot be built to.
+    Raises ConfigError for a recipe the twin cannot be built to, DeviceRefused where the cell's devices are in other
+    hands.
     """
     started = time.perf_counter()
     outcome = (
@@ -110,8 +116,9 @@ def run_once(request: RunRequest) -> Outcome:
 
 async def _run_in_real_time(request: RunRequest) -> Outcome:
     """Whatever takes long is done in worker processes: drives are not left without their heartbeat."""
-    async with ProcessJobs(modules=WARM) as jobs:
-        return await run_here(dataclasses.replace(request, jobs=jobs))
+    with sole_user(request.config.path):
+        async with ProcessJobs(modules=WARM) as jobs:
+            return await run_here(dataclasses.replace(request, jobs=jobs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +141,7 @@ def compose(request: RunRequest) -> Composed:
     twin = standing_cell(request.recipe, request.config, request.jobs, seed=request.seed, faults=request.faults)
     stamps: Stamps = WallStamps() if real_devices(request.config) else VirtualStamps(identity(request))
     controller = Controller(twin.cell, EventLog(stamps.now), safe_deadline_s=request.config.cell.safe_deadline_s)
-    calibration = load_calibration(request.config.calibration_path)
+    calibration = request.calibration or load_calibration(request.config.calibration_path)
     store = RunStore(request.data, durable=False)
     identities: dict[str, Identity] = {}
     order = Order(

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from cellctl.assembly import Assembly, Bench
 from cellctl.assembly import Order as AssemblyOrder
 from cellctl.believed_twin import numbers_of
+from cellctl.calibrated_devices import other_devices
 from cellctl.calibration import Calibration, load_calibration
 from cellctl.controller import Snapshot
 from cellctl.dry_runs import TwinOutcome
@@ -38,6 +39,7 @@ JOB_DEADLINE_S = 60.0
 DRY_RUN_DEADLINE_S = 300.0
 """Seconds of the wall."""
 DRY_RUN_POINTS = 300_000
+NOT_CONNECTED = "the devices are not connected"
 
 
 async def open_workplace(
@@ -45,7 +47,7 @@ async def open_workplace(
 ) -> AsyncIterator[CellWorkplace]:
     """The workplace of one cell, set up for the first recipe that fits it. Closes everything at the end.
 
-    A device that does not answer is no error: the workplace says so in `failure`, and a reset tries again.
+    A device that does not answer is no error: the workplace says so in `unreachable`, and `connect` tries again.
     """
     calibration = load_calibration(config.calibration_path)
     jobs = ProcessJobs(deadline_s=JOB_DEADLINE_S, modules=(*WARM, *RENDERING))
@@ -84,18 +86,30 @@ class CellWorkplace:
         self._bench = self._built(first)
         self._identities: dict[str, Identity] = {}
         self._expected: dict[str, tuple[tuple[str, float], ...]] = {}
-        self.failure = "the devices are not connected"
+        self._unfit = ""
+        self.unreachable = NOT_CONNECTED
+
+    @property
+    def failure(self) -> str:
+        """Why no order can be worked on, or an empty string."""
+        return self.unreachable or self._unfit
+
+    def is_simulated(self) -> bool:
+        """Whether any device is a simulation, as they all may be while none is connected."""
+        return any(identity.simulated for identity in self._identities.values()) or not self._identities
 
     async def connect(self) -> str:
         """Connect what is not connected; the reason where that failed, else an empty string."""
-        if self.failure:
+        if self.unreachable:
             try:
                 self._identities = await self._bench.cell.connect()
             except CellError as error:
-                self.failure = str(error)
+                self.unreachable = str(error)
             else:
-                self.failure = refused_sign_in(self._config.auth.mode, self._identities)
-        return self.failure
+                self.unreachable = ""
+                others = other_devices(self._calibration, self._identities)
+                self._unfit = refused_sign_in(self._config.auth.mode, self._identities) or "; ".join(others)
+        return self.unreachable
 
     async def close(self) -> None:
         """Let go of the devices."""
@@ -107,7 +121,7 @@ class CellWorkplace:
 
     async def rearm(self) -> None:
         """Every set-point becomes what is measured, on devices that are connected. Raises CellError."""
-        if not await self.connect():
+        if not await self.connect() and not self.failure:
             await self._bench.cell.rearm()
 
     async def ready(self) -> str:
@@ -163,9 +177,10 @@ class CellWorkplace:
             return
         await self._bench.cell.close()
         self._bench = self._built(recipe)
-        self.failure = "the devices are not connected"
-        if reason := await self.connect():
-            raise CellError(reason)
+        self.unreachable = NOT_CONNECTED
+        if await self.connect() or self.failure:
+            raise CellError(self.failure)
+        await self._bench.cell.rearm()  # this bench is another one than the reset has made ready
 
     def _built(self, recipe: Recipe) -> StandingCell:
         return standing_cell(recipe, self._config, self._jobs, seed=self._config.twin.seed)
@@ -205,11 +220,13 @@ class _Tried:
 
 def run_on_twin(recipe: Recipe, config: CellConfig, seed: int) -> TwinOutcome:
     """A run in virtual time on an ideal twin that knows nothing of the cell's own plant. Blocking."""
-    believed = numbers_of(load_calibration(config.calibration_path))
+    calibration = load_calibration(config.calibration_path)
+    believed = numbers_of(calibration)
+    of_any_device = calibration.model_copy(update={"made": {}})  # the twin's own are not those it was made with
     twin = config.twin.model_copy(update={"level": "ideal", "overrides": believed, "points": DRY_RUN_POINTS})
     private = config.on_fakes().model_copy(update={"twin": twin})
     with TemporaryDirectory(prefix="cellctl-dry-run-") as folder:
-        outcome = run_once(RunRequest(recipe, private, seed, Path(folder), keep="none"))
+        outcome = run_once(RunRequest(recipe, private, seed, Path(folder), keep="none", calibration=of_any_device))
     summary = outcome.summary
     phases = tuple((phase.name, phase.cell_time_s) for phase in summary.phases) if summary else ()
     cell_time_s = summary.cell_time_s if summary else 0.0

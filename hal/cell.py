@@ -69,12 +69,15 @@ SAFETY_LOOK_S = 0.25
 
 
 class CellFailure(DeviceError):
-    """Several devices failed at once; `failures` has each by name."""
+    """Several devices failed at once; `failures` has each by name, the text those together that have one reason."""
 
     code = "devices_failed"
 
     def __init__(self, action: str, failures: Mapping[str, Exception], total: int) -> None:
-        listed = "; ".join(f"{name}: {getattr(error, 'reason', error)}" for name, error in failures.items())
+        alike: dict[str, list[str]] = {}
+        for name, error in failures.items():
+            alike.setdefault(str(getattr(error, "reason", error)), []).append(name)
+        listed = "; ".join(f"{', '.join(names)}: {reason}" for reason, names in alike.items())
         super().__init__(f"{len(failures)} of {total} devices did not {action}: {listed}")
         self.failures = dict(failures)
 
@@ -260,10 +263,11 @@ def _guard(
 
 
 def _kept(config: CellConfig, output: EnableOutput, guard: CellGuard, latch: Latch) -> EnableKeeper:
-    """The output that lets the guns turn, kept by the guard that shares this loop: it falls when the latch closes."""
+    """The output that lets the guns turn, kept by the guard that shares this loop."""
     watchdog_s: float = getattr(config.devices.tool_enable, "watchdog_s", 0.0)
-    keeper = EnableKeeper(output, lambda: "" if guard.alive else "the guard has died", watchdog_s)
-    latch.on_close = keeper.fall
+    refused = lambda: latch.reason("guard") if guard.alive else "the guard has died"  # noqa: E731
+    keeper = EnableKeeper(output, refused, watchdog_s)
+    latch.on_change = keeper.look
     return keeper
 
 

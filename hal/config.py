@@ -69,9 +69,16 @@ class CalibrationEntry(Section):
 
 
 class Auth(Section):
-    """`[auth]`: demo is accepted only on a loopback host with fake devices."""
+    """`[auth]`: demo is accepted only on a loopback host with devices that are simulated; keys names a file of keys."""
 
-    mode: Literal["demo"] = "demo"
+    mode: Literal["demo", "keys"] = "demo"
+    keys: Path | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Auth:
+        if (self.mode == "keys") != (self.keys is not None):
+            raise ValueError('keys names a file of keys where mode = "keys", and only there')
+        return self
 
 
 class Twin(Section):
@@ -145,6 +152,13 @@ class CellConfig(Section):
     def beside(self, file: Path | str) -> Path:
         """A path of the cell file, resolved against its folder."""
         return self.path.parent / file
+
+    @property
+    def keys_path(self) -> Path:
+        """The file of keys. Raises ConfigError where the cell's sign-in is another."""
+        if self.auth.keys is None:
+            raise ConfigError('the sign-in of this cell is not by keys: mode = "keys"', place="auth.mode")
+        return self.beside(self.auth.keys)
 
     @property
     def entries(self) -> Mapping[str, Any]:

@@ -22,8 +22,8 @@ class Latch:
     def __init__(self) -> None:
         self._reasons: dict[Holder, str] = {}
         self._running: dict[asyncio.Task[Any], str] = {}
-        self.on_close: Callable[[str], None] = lambda reason: None
-        """Hears the reason whenever somebody closes it."""
+        self.on_change: Callable[[], None] = lambda: None
+        """Told whenever somebody has closed or opened it."""
 
     @property
     def closed(self) -> bool:
@@ -33,11 +33,16 @@ class Latch:
     def close(self, holder: Holder, reason: str) -> None:
         """Refuse every command from now on; the first reason of a holder stays."""
         self._reasons.setdefault(holder, reason)
-        self.on_close(reason)
+        self.on_change()
 
     def open(self, holder: Holder) -> None:
         """Take this holder's reason away; other reasons stay."""
         self._reasons.pop(holder, None)
+        self.on_change()
+
+    def reason(self, holder: Holder) -> str:
+        """Why this holder keeps it closed, or nothing."""
+        return self._reasons.get(holder, "")
 
     def refusal(self, device: str) -> SafetyError | None:
         """The error that a command to `device` meets now, or None."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import socket
 
@@ -21,15 +22,31 @@ def notify(state: str) -> None:
             return
 
 
+class Watchdog:
+    """Tells the service manager that this process goes on. For one that asks nobody for that it does nothing."""
+
+    def __init__(self) -> None:
+        limit_us = int(os.environ.get("WATCHDOG_USEC", "0"))
+        ours = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        self.period_s = 1e-6 * limit_us / 4 if limit_us and ours else math.inf
+        self._due_s = -math.inf
+
+    def feed(self, now: float) -> None:
+        """Called at least every `period_s`, however often: says so four times within the limit. `now` in seconds."""
+        if math.isfinite(self.period_s) and now >= self._due_s:
+            self._due_s = now + self.period_s
+            notify("WATCHDOG=1")
+
+
 async def alive() -> None:
     """Say that this loop is ready, and then, for as long as it is awaited, that it turns.
 
     On the machine's own clock; one that stands still while heavy jobs are in flight says nothing meanwhile.
     """
     notify("READY=1")
-    limit_us = int(os.environ.get("WATCHDOG_USEC", "0"))
-    if not limit_us or os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
-        await asyncio.Event().wait()
+    watchdog, loop = Watchdog(), asyncio.get_running_loop()
+    if math.isinf(watchdog.period_s):
+        await loop.create_future()
     while True:
-        notify("WATCHDOG=1")
-        await asyncio.sleep(1e-6 * limit_us / 4)
+        watchdog.feed(loop.time())
+        await asyncio.sleep(watchdog.period_s)

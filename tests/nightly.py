@@ -41,6 +41,7 @@ from tests.journeys.twin_runs import (
     with_twin,
 )
 from tests.vision import nights
+from tests.wire.campaign import numbered
 
 SWARM_SEEDS = 4
 """Twins that the swarm is spread over: few, so that their clouds are computed once."""
@@ -133,6 +134,11 @@ def dead(number: int) -> Result:
     return Result(*moment(number))
 
 
+def wires(number: int) -> Result:
+    """A fault on one of the buses at a random moment."""
+    return Result(*numbered(number))
+
+
 def seen(numbers: Callable[[int], tuple[str, str]], number: int) -> Result:
     """A number of one of the vision core's campaigns."""
     return Result(*numbers(number))
@@ -150,6 +156,7 @@ def campaigns() -> dict[str, Campaign]:
         "stops": partial(stops, jobs),
         "races": races,
         "dead": dead,
+        "wires": wires,
         "elements": partial(seen, nights.elements),
         "studs": partial(seen, nights.studs),
         "flanges": partial(seen, nights.flanges),

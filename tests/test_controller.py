@@ -311,6 +311,32 @@ def test_reset_rearms_and_refuses_idle_until_ready() -> None:
     run_virtual(main())
 
 
+def test_clear_connects_first_and_says_what_is_not_there() -> None:
+    async def main() -> None:
+        cell = DoubleCell()
+        answers: list[str | Exception] = ["the jack is not there", RuntimeError("a bug"), ""]
+
+        async def connect() -> str:
+            answer = answers.pop(0)
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+
+        controller = Controller(cell, event_log(), safe_deadline_s=0.5, connect=connect)
+        controller.request(Command.ABORT, "nothing is there")
+        for why in ("the jack is not there", "a bug"):
+            await controller.until(State.ABORTED)
+            controller.request(Command.CLEAR)
+            await controller.until(State.ABORTED, State.STOPPED)
+            assert (controller.state, controller.snapshot().why) == (State.ABORTED, why)
+            assert [(alarm.code, alarm.latched) for alarm in controller.snapshot().alarms] == [("not_connected", True)]
+        controller.request(Command.CLEAR)
+        await controller.until(State.STOPPED, State.ABORTED)
+        assert (controller.state, controller.snapshot().alarms) == (State.STOPPED, ())
+
+    run_virtual(main())
+
+
 def test_a_wrong_command_is_refused_with_the_allowed_ones() -> None:
     async def main() -> None:
         controller = controller_on(DoubleCell())

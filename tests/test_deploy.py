@@ -66,6 +66,8 @@ def test_a_unit_starts_what_there_is_as_nobody_special_and_comes_back(root: Path
     else:
         assert words[1:3] == ["-m", "hal.guard"]
     assert "--cell" in words
+    assert unit["Type"] == ["notify"], "each says by itself that it is ready"
+    assert float(unit["WatchdogSec"][0]) > 0
     assert unit["User"] == ["cellctl"]
     assert unit["CapabilityBoundingSet"] == [""]
     assert unit["Restart"] == ["always"]

@@ -22,12 +22,12 @@ from hal.jobs import Jobs
 class Services:
     """Everything behind the API. `wall_s` is how many seconds of the loop's time one second of the wall lasts.
 
-    `not_ready` says in one sentence why no order can be worked on, or is empty. `time_left_s` estimates the rest of
+    `not_ready` says in one sentence why no order can be worked on, or is empty; `is_simulated` whether any device
+    is or may be a simulation. `time_left_s` estimates the rest of
     the run in cell time, None where nothing is known. `jobs` run what is heavy and no part of what the cell does.
     """
 
     cell_name: str
-    simulated: bool
     controller: Controller
     orders: OrderBook
     events: EventLog
@@ -37,9 +37,15 @@ class Services:
     auth: Authenticator
     metrics: Metrics
     not_ready: Callable[[], str]
+    is_simulated: Callable[[], bool]
     time_left_s: Callable[[Snapshot], float | None]
     jobs: Jobs
     wall_s: float = 1.0
+
+    @property
+    def simulated(self) -> bool:
+        """Whether what is done here may be done by a simulation."""
+        return self.is_simulated()
 
 
 async def services_of(request: Request) -> Services:

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from cellctl.calibrated_devices import other_devices
 from cellctl.calibration import Calibration, Made, Procedure
 from cellctl.vision.part import Refused
+from hal.interfaces import Identity
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,20 +23,10 @@ class Part:
     figures: Mapping[str, float]
 
 
-def require_same_devices(base: Calibration, procedure: Procedure, devices: Mapping[str, str]) -> None:
-    """What `base` holds from other procedures must be of these very devices (one line each, by name).
-
-    Raises Refused other_devices. Firmware may change.
-    """
-    for name, made in base.made.items():
-        for device, was in made.devices.items():
-            now = devices.get(device, was)
-            if name != procedure and _unit(now) != _unit(was):
-                raise Refused("other_devices", f"{name} was calibrated with {device} {was}; here it is {now}")
-
-
-def _unit(line: str) -> str:
-    return line.rpartition(", firmware")[0] or line
+def require_same_devices(base: Calibration, procedure: Procedure, devices: Mapping[str, Identity]) -> None:
+    """What `base` holds from other procedures must be of these very devices. Raises Refused other_devices."""
+    if others := other_devices(base, devices, but=procedure):
+        raise Refused("other_devices", "; ".join(others))
 
 
 def put_in(

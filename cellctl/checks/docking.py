@@ -53,12 +53,19 @@ def trip_force_n(recipe: Recipe, delays: Delays, mass_kg: float, *, deceleration
     )
 
 
+def insertion_trip_n(recipe: Recipe, cell: CellConfig) -> float:
+    """`trip_force_n` in that cell: what is armed for the insertion, and what the check judges.
+
+    The jack is taken to stop no harder than it ramps; most drives' quick stop is shorter.
+    """
+    deceleration = cell.devices.jack.max_acceleration
+    return trip_force_n(recipe, cell.guard, cell.cell.moving_mass_kg, deceleration_mm_s2=deceleration)
+
+
 def contact_speed_findings(recipe: Recipe, cell: CellConfig | None) -> list[Finding]:
     """The contact speed must leave a trip force that can be told from noise."""
     delays = cell.guard if cell else Delays()
-    mass = cell.cell.moving_mass_kg if cell else recipe.limits.shaft_mass_kg
-    deceleration = cell.devices.jack.max_acceleration if cell else None
-    trip = trip_force_n(recipe, delays, mass, deceleration_mm_s2=deceleration)
+    trip = insertion_trip_n(recipe, cell) if cell else trip_force_n(recipe, delays, recipe.limits.shaft_mass_kg)
     usable = usable_trip_n(recipe.jack_up.force_limit_n, delays)
     if trip >= usable:
         return []

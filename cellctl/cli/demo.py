@@ -16,6 +16,7 @@ from cellctl.api.schemas import JobOrderRequest, Run, Serials
 from cellctl.app import Service
 from cellctl.cli.serve import ROOT, add_service_options, run_service, settings_of
 from cellctl.client import CellClient, ClientError
+from hal.errors import ConfigError
 
 WAYS_TO_IDLE = {"Aborted": "clear", "Stopped": "reset", "Complete": "reset", "Held": "stop"}
 
@@ -38,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
     verdicts: list[str | None] = []
 
     async def journey(service: Service) -> None:
+        if not service.token:
+            raise ConfigError('the demo needs the sign-in mode = "demo"', place="auth.mode")
         say = _Say(args.json)
         say.line(f"page   {service.url}/#token={service.token}")
         say.line(f"token  {service.token} (also in {service.data / 'demo-token'})")
@@ -71,8 +74,10 @@ async def assembly(cell: CellClient, name: str, of: tuple[str, int], say: _Say) 
     while (now := await cell.cell()).state != "Idle":
         if command := WAYS_TO_IDLE.get(now.state):
             await cell.command(command, "the demo begins")
+        cleared = now.state == "Aborted"
         now = await cell.until("Idle", *WAYS_TO_IDLE)
-        if now.state == "Stopped" and now.why and "demo" not in now.why:
+        stuck = now.state == "Stopped" or (cleared and now.state == "Aborted")
+        if stuck and now.why and "demo" not in now.why:
             say.line(f"not ready: {now.why}")
             await asyncio.sleep(60.0)
     recipe, version = of

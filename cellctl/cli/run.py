@@ -11,7 +11,7 @@ from typing import Any
 from cellctl.recipe import load_recipe
 from cellctl.recipe_checks import CHECK_NAMES
 from hal.config import load_cell
-from hal.errors import ConfigError
+from hal.errors import ConfigError, DeviceRefused
 
 EXIT = {"accepted": 0, "rejected": 3, "held": 3}
 
@@ -34,7 +34,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit 0 accepted, 3 rejected or held, 2 bad input."""
+    """Exit 0 accepted, 3 rejected, held, or not begun because the devices are in other hands, 2 bad input."""
     from cellctl.runner import RunRequest, run_once, with_twin
     from hal.fake.fault_file import load_faults
 
@@ -53,6 +53,9 @@ def run(args: argparse.Namespace) -> int:
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2
+    except DeviceRefused as error:
+        print(error, file=sys.stderr)
+        return 3
     if args.json:
         print(json.dumps(outcome.to_json(), allow_nan=False))
     else:

@@ -1,4 +1,5 @@
-"""`cellctl serve`: the service. Exit 0 after an ordered end, 2 where a file or a setting is wrong."""
+"""`cellctl serve`: the service. Exit 0 after an ordered end, 2 where a file or a setting is wrong, 3 where another
+command has the devices of the cell in hand."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from typing import Any
 from cellctl.app import Service, serve
 from cellctl.service_rules import Settings, clock, refuse_unfit
 from hal.config import load_cell
-from hal.errors import ConfigError
+from hal.errors import ConfigError, DeviceRefused
 from hal.systemd import alive
 
 ROOT = Path(__file__).parents[2]
@@ -44,8 +45,10 @@ def run(args: argparse.Namespace) -> int:
 
     async def tell(service: Service) -> None:
         if args.json:
-            told = {"url": service.url, "token": service.token, "data": str(service.data)}
+            told = {"url": service.url, "token": service.token or None, "data": str(service.data)}
             print(json.dumps(told), flush=True)
+        elif not service.token:
+            print(f"page   {service.url}\nAPI    {service.url}/api/v1\nsign in with a key\nCtrl-C ends", flush=True)
         else:
             print(f"page   {service.url}/#token={service.token}\nAPI    {service.url}/api/v1\ntoken  {service.token}")
             print("Ctrl-C ends", flush=True)
@@ -73,6 +76,9 @@ def run_service(settings: Settings, during: Callable[[Service], Awaitable[None]]
     except ConfigError as error:
         print(f"cellctl: {error}", file=sys.stderr)
         return 2
+    except DeviceRefused as error:
+        print(f"cellctl: {error}", file=sys.stderr)
+        return 3
     except KeyboardInterrupt:
         return 0
     return 0

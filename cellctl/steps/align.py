@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellctl.docking import Alignment, align, align_spec
+from cellctl.docking import Alignment, align_spec
 from cellctl.kinematics import AxesPosition, shaft_at
 from cellctl.ports import RunContext, RunHeld
 from cellctl.recipe import Recipe
@@ -55,7 +55,7 @@ async def _compute(run: RunContext, rotor: PartMeasurement, shaft: PartMeasureme
     try:
         travel = run.devices.shaft_table.limits
         spec = align_spec(run.recipe, theta_low_deg=travel.low, theta_high_deg=travel.high)
-        alignment = align(rotor, shaft, run.calibration, at, spec)
+        alignment = await run.vision.align(rotor, shaft, at, spec)
     except Refused as refusal:
         raise RunHeld(refusal.code, refusal.reason) from refusal
     await run.ledger.note("alignment", alignment)

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellctl.calibration import Calibration
+from cellctl.docking import Alignment, AlignSpec, align
+from cellctl.kinematics import AxesPosition
 from cellctl.vision.measure import DEFAULT_GATES, Gates, measure_part
 from cellctl.vision.part import Part, PartMeasurement
 from cellctl.vision.spheres import artefact_residuals
@@ -18,7 +20,9 @@ Array = NDArray[np.float64]
 MEASURE_S = 0.8
 ARTEFACT_S = 0.3
 """Cell time that a measurement is charged under virtual time: a 0.5 M point cloud on one core."""
-WARM = ("cellctl.vision.measure", "cellctl.vision.spheres")
+ALIGN_S = 0.2
+"""Cell time that an alignment is charged: 36 bolts on one core."""
+WARM = ("cellctl.docking", "cellctl.vision.measure", "cellctl.vision.spheres")
 """Modules that a worker process imports beforehand."""
 
 
@@ -34,12 +38,14 @@ class VisionWorker:
         seed: int = 0,
         measure_s: float = MEASURE_S,
         artefact_s: float = ARTEFACT_S,
+        align_s: float = ALIGN_S,
     ) -> None:
         self._jobs = jobs
         self._calibration = calibration
         self._measure = partial(measure_part, gates=gates, seed=seed)
         self._measure_s = measure_s
         self._artefact_s = artefact_s
+        self._align_s = align_s
 
     async def measure(self, frame: Frame, part: Part) -> PartMeasurement:
         """One part in the cell frame. Raises Refused, or WorkerError when the worker died or was late."""
@@ -61,6 +67,12 @@ class VisionWorker:
             artefact.sphere_diameter_mm,
             latency_s=self._artefact_s,
         )
+
+    async def align(
+        self, rotor: PartMeasurement, shaft: PartMeasurement, measured_at: AxesPosition, spec: AlignSpec
+    ) -> Alignment:
+        """Where the shaft has to go, see `cellctl.docking.align`. Raises Refused, and WorkerError as `measure`."""
+        return await self._jobs.run(align, rotor, shaft, self._calibration, measured_at, spec, latency_s=self._align_s)
 
     def _pose(self, view: View) -> Array:
         return self._calibration.views["rotor" if view in ("rotor", "artefact_rotor") else "shaft"].matrix

@@ -35,6 +35,9 @@ logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)  # the errors r
 
 _REFUSED = (ExceptionCode.ILLEGAL_FUNCTION, ExceptionCode.ILLEGAL_ADDRESS, ExceptionCode.ILLEGAL_VALUE)
 _GATEWAY = (ExceptionCode.GATEWAY_PATH, ExceptionCode.GATEWAY_TARGET)
+MOST_BYTES = 4096
+"""Kept of what comes in one go. By itself the client forgets all of it beyond one frame's size, a good answer too where
+it comes twice."""
 RETRY_S = 0.5
 """Pause between two attempts to connect while nobody asks."""
 
@@ -311,15 +314,19 @@ class Line:
 def _client(link: Link, told: Callable[[bool], None]) -> Client:
     """A client that neither repeats nor reconnects by itself; the deadline is the line's."""
     limit_s = 10.0 * link.deadline_s
+    client: Client
     if link.port_path:
-        return AsyncModbusSerialClient(
+        client = AsyncModbusSerialClient(
             link.port_path, baudrate=link.baud, parity=link.parity, timeout=limit_s, retries=0, reconnect_delay=0,
             trace_connect=told,
         )  # fmt: skip
-    framer = FramerType.RTU if link.framing == "rtu" else FramerType.SOCKET
-    return AsyncModbusTcpClient(
-        link.host, port=link.port, framer=framer, timeout=limit_s, retries=0, reconnect_delay=0, trace_connect=told
-    )
+    else:
+        framer = FramerType.RTU if link.framing == "rtu" else FramerType.SOCKET
+        client = AsyncModbusTcpClient(
+            link.host, port=link.port, framer=framer, timeout=limit_s, retries=0, reconnect_delay=0, trace_connect=told
+        )
+    client.ctx.max_buffer_size = MOST_BYTES
+    return client
 
 
 def _exception(code: int, what: str, device: str) -> DeviceError:

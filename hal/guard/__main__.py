@@ -20,6 +20,7 @@ from hal.errors import ConfigError
 from hal.guard.files import lock_beside
 from hal.guard.process import GuardProcess
 from hal.priority import never_paused, real_time
+from hal.systemd import Watchdog, notify
 
 REAL_TIME = 50
 
@@ -58,8 +59,12 @@ async def guard(config: CellConfig, *, child: bool) -> None:
     for one in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(one, ended.set)
     assert config.can is not None, "the cell file was checked"
-    process = GuardProcess(config, CanBus(config.can.described, node=config.can.node))
+    # A child speaks to its parent alone: the service manager's ear is lent to the service.
+    on_cycle = None if child else Watchdog().feed
+    process = GuardProcess(config, CanBus(config.can.described, node=config.can.node), on_cycle)
     await process.start()
+    if not child:
+        notify("READY=1")
     never_paused()
     real_time(REAL_TIME)
     if child:

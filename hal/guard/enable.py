@@ -1,7 +1,8 @@
 """Lets the guns turn while the guard lives, is not tripped, and hears its controller; `hal.interfaces.ToolEnable`.
 
 What the heartbeat is for the drives, this output is for the guns: it is asked for again and again, and falls by itself
-where it no longer is. Once it has fallen it stays off until the cell is re-armed.
+where it no longer is. A trip takes it until the trip is cleared; what has been halted, or has fallen by itself, stays
+off until it is re-armed.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable
 
-from hal.errors import CellError, DeviceTimeout
+from hal.errors import CellError, DeviceTimeout, NotConnected
 from hal.guard.heartbeat import BEATS
 from hal.interfaces import EnableOutput, EnableState, Identity, SafeState
 
@@ -20,15 +21,17 @@ RETRY_S = 0.1
 
 
 class EnableKeeper:
-    """`output` is the bare output; `refused` says why the guns may not turn, or nothing. An output with a watchdog of
-    `watchdog_s` is fed by being asked for (0: it has none)."""
+    """`output` is the bare output; `refused` says why the guns may not turn now, or nothing, and `look` that it has
+    changed. An output with a watchdog of `watchdog_s` is fed by being asked for (0: it has none)."""
 
     def __init__(self, output: EnableOutput, refused: Callable[[], str], watchdog_s: float = 0.0) -> None:
         self.name = output.name
         self._output = output
         self._refused = refused
+        self._watchdog_s = watchdog_s
         self._period_s = watchdog_s / BEATS or None
-        self._off_reason = STOPPED
+        self._set_s = 0.0
+        self._stopped = STOPPED
         self._wake = asyncio.Event()
         self._acting = asyncio.Lock()
         self._allowing: asyncio.Task[None] | None = None
@@ -46,31 +49,32 @@ class EnableKeeper:
         task, self._task = self._task, None
         if task is None:
             return
-        self.fall("closed")
+        self._stop("closed")
         task.cancel()
         await asyncio.wait({task})
         with contextlib.suppress(CellError):
             await self._output.halt()
         await self._output.close()
 
-    def fall(self, reason: str) -> None:
-        """The guns must not turn from here on, until `rearm`. Never waits; the first reason stays."""
-        self._off_reason = self._off_reason or reason
-        if self._allowing is not None:
+    @property
+    def reason(self) -> str:
+        """Why the guns may not turn; empty while they may."""
+        return self._stopped or self._refused()
+
+    async def read(self) -> EnableState:
+        """What it keeps to; nothing is asked of the coupler, which is asked all the time."""
+        reason = self.reason
+        return EnableState(not reason, reason, asyncio.get_running_loop().time())
+
+    def look(self) -> None:
+        """Something has changed: act on it, without waiting for anything."""
+        if self._allowing is not None and self.reason:
             self._allowing.cancel()  # switching off does not wait behind it
         self._wake.set()
 
-    def state(self) -> EnableState:
-        """What it keeps to."""
-        return EnableState(not self._off_reason, self._off_reason, asyncio.get_running_loop().time())
-
-    async def read(self) -> EnableState:
-        """As `state`: nothing is asked of the coupler, which is asked all the time."""
-        return self.state()
-
     async def halt(self) -> None:
-        """Off, read back."""
-        self.fall("halted")
+        """Off until it is re-armed, read back."""
+        self._stop("halted")
         async with self._acting:
             await self._output.halt()
 
@@ -82,19 +86,22 @@ class EnableKeeper:
         """Have it off, then let the guns turn again. Raises what keeps the output from being set."""
         async with self._acting:
             await self._output.rearm()
-            if refused := self._refused():
-                self._off_reason = refused
+            self._stopped = ""
+            if self._refused():
                 return
-            self._off_reason = ""
             try:
                 await self._allow()
             except BaseException:
-                self._off_reason = STOPPED
+                self._stopped = STOPPED
                 raise
         self._wake.set()
 
+    def _stop(self, reason: str) -> None:
+        self._stopped = self._stopped or reason
+        self.look()
+
     async def _allow(self) -> None:
-        """Ask for the output, unless it falls meanwhile. Raises what the output raises."""
+        """Ask for the output, unless something changes meanwhile. Raises what the output raises."""
         self._allowing = asyncio.get_running_loop().create_task(self._output.allow(), name="tool enable asked for")
         try:
             await asyncio.wait({self._allowing})
@@ -103,6 +110,7 @@ class EnableKeeper:
             asked.cancel()
         if not asked.cancelled():
             asked.result()
+            self._set_s = asyncio.get_running_loop().time()
 
     async def _keep(self) -> None:
         again_s: float | None = None
@@ -115,18 +123,17 @@ class EnableKeeper:
                 again_s = await self._act()
 
     async def _act(self) -> float | None:
-        """Have the output as it must be; returns when to look again (None: when woken)."""
-        if not self._off_reason:
-            self._off_reason = self._refused()
+        """Have the output as it must be; returns when to look again (None: when told)."""
         try:
-            if not self._off_reason:
+            if not self.reason:
                 await self._allow()
-                return 0.0 if self._off_reason else self._period_s
+                return self._period_s
             if not (await self._output.safe()).safe:
                 await self._output.halt()
-        except DeviceTimeout:
-            return RETRY_S  # asked again in time, or it falls by itself
         except CellError as error:
-            self.fall(error.reason)
+            lost = isinstance(error, DeviceTimeout | NotConnected)
+            silent_s = asyncio.get_running_loop().time() - self._set_s
+            if not lost or silent_s >= self._watchdog_s:  # before that it may still be asked for in time
+                self._stopped = self._stopped or error.reason
             return RETRY_S
         return None

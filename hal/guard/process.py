@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import logging
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -43,9 +44,13 @@ _log = logging.getLogger(__name__)
 
 
 class GuardProcess:
-    """Made inside the running loop. `can_bus` is not open; `start` does not wait for adapter or sensor."""
+    """Made inside the running loop. `can_bus` is not open; `start` does not wait for adapter or sensor.
 
-    def __init__(self, config: CellConfig, can_bus: CanBus) -> None:
+    `on_cycle` is called with the loop's time whenever the heartbeats are due.
+    """
+
+    def __init__(self, config: CellConfig, can_bus: CanBus, on_cycle: Callable[[float], None] | None = None) -> None:
+        self._on_cycle = on_cycle
         entry = config.devices.jack_force
         assert isinstance(entry, ForceLineEntry), "the cell file was checked"
         assert isinstance(config.can, CanEntry), "the cell file was checked"
@@ -87,7 +92,7 @@ class GuardProcess:
         if not isinstance(entry, ModbusEnableEntry):
             return None
         output = modbus_device("tool_enable", beside(config, entry), Lines())
-        return EnableKeeper(output, lambda: self.sentry.trip.reason if self.sentry.trip else "", entry.watchdog_s)
+        return EnableKeeper(output, lambda: "the guard has tripped" * self.sentry.gate.latched, entry.watchdog_s)
 
     async def start(self) -> None:
         """Listen, and have adapter and sensor as soon as they are there. Raises OSError: the socket cannot be had."""
@@ -173,14 +178,16 @@ class GuardProcess:
             for node in self._nodes:
                 self._bus.send(CanFrame(SDO_REQUEST + node, written))
         if self._enable is not None:
-            self._enable.fall("the guard has tripped")
+            self._enable.look()
 
     # ------------------------------------------------------------ time
 
     def _cycle(self) -> None:
-        """The heartbeats: to the drives while the controller lives, to the controller always."""
+        """The heartbeats: to the drives while the controller lives, to the others always."""
         self._beat()
         self._tell()
+        if self._on_cycle is not None:
+            self._on_cycle(self._loop.time())
         self._next_cycle = self._loop.call_later(self._cycle_s, self._cycle)
 
     def _beat(self) -> None:
@@ -246,6 +253,8 @@ class GuardProcess:
             case "clear":
                 self._beat()
                 refused = self.sentry.clear(int(values["epoch"]), self._loop.time())
+                if self._enable is not None:
+                    self._enable.look()
                 self._tell()
                 self._answer(tag, NotConnected(f"{refused} {self._bus.trouble}".strip()) if refused else None)
             case _:
@@ -287,7 +296,7 @@ class GuardProcess:
             "force_n": sentry.trip.force_n if sentry.trip else math.nan,
             "bus": self._bus.trouble,
             "sensor": [error.code, error.reason] if error else None,
-            "tools": self._enable.state().reason if self._enable else "",
+            "tools": self._enable.reason if self._enable else "",
         }
         self.server.send(wire.encode_object(Kind.STATE, told))
         if self._arming and (sentry.trip is not None or sentry.proven or not sentry.armed):

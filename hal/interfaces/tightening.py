@@ -99,8 +99,8 @@ class EnableState:
 
 
 class ToolEnable(Device, Protocol):
-    """What lets both guns turn. On from `rearm` on while all is well; it falls with the guard, with its controller, and
-    with its coupler's watchdog, and stays off until it is re-armed.
+    """What lets both guns turn. On from `rearm` on while all is well: a trip of the guard takes it until it is cleared;
+    halted, or dropped by its coupler, whose watchdog hears neither guard nor controller, it stays off until re-armed.
 
     A tightening goes on when the link to its controller is lost: this is what stops it then.
     """

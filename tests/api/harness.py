@@ -137,7 +137,6 @@ def services_on(data: Path, wall_s: float) -> tuple[Services, DoubleCell, list[S
     orders = OrderBook(data / "orders.jsonl", controller, events, stamps, check=check, open_session=open_session)
     services = Services(
         cell_name="small-cell",
-        simulated=True,
         controller=controller,
         orders=orders,
         events=events,
@@ -147,6 +146,7 @@ def services_on(data: Path, wall_s: float) -> tuple[Services, DoubleCell, list[S
         auth=DemoAuth(TOKEN),
         metrics=Metrics(controller, events),
         not_ready=lambda: "",
+        is_simulated=lambda: True,
         time_left_s=lambda snapshot: 60.0,
         jobs=InlineJobs(),
         wall_s=wall_s,

@@ -2,9 +2,11 @@ import math
 
 import pytest
 
-from cellctl.checks.docking import trip_force_n
+from cellctl.assembly import guard_plan
+from cellctl.checks.docking import contact_speed_findings, trip_force_n
 from cellctl.recipe import parse_recipe
-from hal.config import Delays
+from hal.config import Delays, load_cell
+from tests.journeys.twin_runs import CELL
 from tests.test_recipe import lpt
 
 
@@ -35,3 +37,16 @@ def test_faster_is_never_later() -> None:
     ]
     assert forces == sorted(forces, reverse=True)
     assert forces[-1] < 0
+
+
+def test_what_is_armed_leaves_room_for_a_jack_that_brakes_slowly_as_the_check_does() -> None:
+    recipe, cell = parse_recipe(lpt()), load_cell(CELL)
+    jack = cell.devices.jack.model_copy(update={"max_acceleration": 4.0})
+    lazy = cell.model_copy(update={"devices": cell.devices.model_copy(update={"jack": jack})})
+    later = 1350.0 * 0.2**2 / (2.0 * 4.0) - 0.2e-3 * math.sqrt(1.35e6 * 100.0)
+    quick_n, lazy_n = (guard_plan(recipe, one).insert_trip_n for one in (cell, lazy))
+    assert lazy_n == pytest.approx(quick_n - later)
+    slower = jack.model_copy(update={"max_acceleration": 2.0})
+    lazier = cell.model_copy(update={"devices": cell.devices.model_copy(update={"jack": slower})})
+    (finding,) = contact_speed_findings(recipe, lazier)
+    assert f"{guard_plan(recipe, lazier).insert_trip_n:.2f} N" in finding.reason

@@ -26,7 +26,7 @@ from tests.journeys.twin_runs import RECIPE
 
 async def recorded(config: CellConfig, word: str, file: Path, listen: str = "") -> tuple[Record, ...]:
     """A recording of the bus of `word` while its devices are asked from here."""
-    order = Order(bus_named(config, word), file, listen, ask=True, seconds=6.0)
+    order = Order(bus_named(config, word), file, listen, ask=True, seconds=20.0)
     counts = await capture(config, RECIPE, order, asyncio.Event(), lambda tap: None)
     header, records = read_capture(file)
     assert (header.cell, header.bus) == (config.cell.name, order.bus.name)

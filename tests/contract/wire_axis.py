@@ -75,14 +75,14 @@ async def wired(name: str, plant: Plant, faults: FaultBook) -> AsyncIterator[Wir
     entry = entry_of(name, number)
     node = CanNode(hub, number, name, plant, faults, scale=entry.counts_per_unit, feed=FEED)
     bus = bus_of(hub)
-    beats = asyncio.create_task(beat(bus), name="beats")
     axis = CanAxis(name, AXIS_UNITS[name], entry, bus)
+    wire = Wire(hub, bus, node, axis, asyncio.create_task(beat(bus), name="beats"))
     try:
-        yield Wire(hub, bus, node, axis, beats)
+        yield wire
     finally:
         await axis.close()
-        beats.cancel()
-        await asyncio.wait({beats})
+        wire.beats.cancel()
+        await asyncio.wait({wire.beats})
         node.close()
         await hub.close()
 

@@ -71,7 +71,7 @@ async def guarded(folder: Path, **entries: Any) -> AsyncIterator[Guarded]:
     try:
         yield guard
     finally:
-        await beats.close()
+        await guard.beats.close()
         await guard.process.close()
         await hub.close()
 

@@ -35,14 +35,15 @@ def test_connecting_names_every_device_that_failed() -> None:
     async def main() -> None:
         small = SmallCell()
         small.bare["heater"].error = NotConnected("no link", device="heater")
+        small.bare["pyrometer"].error = NotConnected("no link", device="pyrometer")
         small.bare["gun_b"].hang = True
         small.bare["scanner"].error = RuntimeError("a bug")
         with pytest.raises(CellFailure) as caught:
             await small.cell.connect()
-        assert set(caught.value.failures) == {"heater", "gun_b", "scanner"}
+        assert set(caught.value.failures) == {"heater", "pyrometer", "gun_b", "scanner"}
         for text in (
-            "3 of 26 devices did not connect",
-            "heater: no link",
+            "4 of 26 devices did not connect",
+            "pyrometer, heater: no link",
             "gun_b: did not connect within 5 s",
             "a bug",
         ):

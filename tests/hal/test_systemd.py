@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hal.clock import run_virtual
-from hal.systemd import alive, notify
+from hal.systemd import Watchdog, alive, notify
 
 
 def heard(manager: socket.socket) -> list[bytes]:
@@ -67,3 +67,17 @@ def test_where_nobody_listens_nothing_happens(tmp_path: Path, monkeypatch: pytes
     notify("READY=1")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
     notify("READY=1")
+
+
+def test_a_watchdog_that_is_fed_all_the_time_says_so_four_times_within_the_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    monkeypatch.setenv("WATCHDOG_USEC", "2000000")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.setblocking(False)
+        watchdog = Watchdog()
+        for tick in range(100):
+            watchdog.feed(7.0 + 0.02 * tick)
+        assert heard(manager) == [b"WATCHDOG=1"] * 4

@@ -1,14 +1,20 @@
-"""The vision worker: the right camera pose for each view, the same numbers inline and in a process, refusals intact."""
+"""The vision worker: the right camera pose for each view, the same numbers inline and in a process, refusals intact.
+
+Where the shaft has to go is worked out there too: its forecasts would hold the controller's loop.
+"""
 
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cellctl.calibration import Calibration, load_calibration
+from cellctl.docking import Alignment, align, align_spec
+from cellctl.kinematics import AxesPosition
 from cellctl.ports import Vision
 from cellctl.recipe import load_recipe
 from cellctl.vision.part import Part, PartMeasurement, Refused
@@ -20,6 +26,7 @@ from hal.fake.scene.picture import picture_of
 from hal.fake.scene.render import render
 from hal.interfaces import Frame, View
 from hal.jobs import InlineJobs, Jobs, ProcessJobs
+from tests.docking import parts
 
 POINTS = 150_000
 
@@ -105,3 +112,43 @@ def test_a_process_gives_the_same_numbers_and_the_same_refusal(root: Path, plant
     np.testing.assert_array_equal(here.T_frame_part, there.T_frame_part)
     np.testing.assert_array_equal(here.covariance, there.covariance)
     assert here.quality == there.quality
+
+
+HOME = AxesPosition(0.0, 0.0, 0.0, 0.0)
+
+
+def both_parts() -> tuple[PartMeasurement, PartMeasurement]:
+    angles = parts.recipe().pattern.angles()
+    rotor = parts.measurement("stud", parts.pose(z=parts.HEIGHT, down=True), tuple(-angle for angle in angles))
+    return rotor, parts.measurement("hole", parts.pose(0.4, -0.3, turn_deg=2.0), angles)
+
+
+def test_an_alignment_is_a_job_that_takes_its_time() -> None:
+    rotor, shaft = both_parts()
+    spec = align_spec(parts.recipe())
+
+    async def main() -> tuple[Alignment, float]:
+        found = await VisionWorker(InlineJobs(), parts.calibration()).align(rotor, shaft, HOME, spec)
+        return found, asyncio.get_running_loop().time()
+
+    found, now = run_virtual(main())
+    assert now == pytest.approx(0.2)
+    assert found.target == align(rotor, shaft, parts.calibration(), HOME, spec).target
+
+
+def test_an_alignment_comes_home_from_a_process_whole_and_so_does_its_refusal() -> None:
+    rotor, shaft = both_parts()
+    spec = align_spec(parts.recipe())
+
+    async def in_process() -> tuple[Alignment, tuple[str, str]]:
+        async with ProcessJobs() as jobs:
+            vision = VisionWorker(jobs, parts.calibration())
+            with pytest.raises(Refused) as refusal:
+                await vision.align(shaft, replace(rotor, frame="input"), HOME, spec)
+            return await vision.align(rotor, shaft, HOME, spec), (refusal.value.code, refusal.value.reason)
+
+    there, refused = asyncio.run(in_process())
+    here = align(rotor, shaft, parts.calibration(), HOME, spec)
+    assert refused == ("frames_disagree", "the shaft was not measured in the cell frame")
+    assert (there.target, there.p_insert, there.partner) == (here.target, here.p_insert, here.partner)
+    np.testing.assert_array_equal(there.covariance_b, here.covariance_b)

@@ -85,6 +85,18 @@ def test_a_coil_is_set_once_whatever_becomes_of_the_answer(framing: Framing) -> 
     run(main())
 
 
+@ON_BOTH
+def test_a_long_answer_that_comes_twice_is_an_answer(framing: Framing) -> None:
+    async def main() -> None:
+        async with lined(framing) as (line, server, _):
+            server.faults.append(WireFault("duplicate", times=3))
+            for count in (120, 67, 120, 3):
+                read = await line.read(1, 7, count, device="gun", holding=True)
+                assert read == tuple(range(7, 7 + count))
+
+    run(main())
+
+
 def test_what_is_called_off_while_it_waits_for_its_turn_is_not_sent() -> None:
     async def main() -> None:
         async with lined("tcp") as (line, server, coils):

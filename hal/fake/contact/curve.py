@@ -17,6 +17,8 @@ ENTRY_STEP_MM = 0.01
 EDGE_MM = 1.001 * ENTRY_STEP_MM
 DEEP_STEP_MM = 1.0
 SPIGOT_STEP_MM = 0.05
+LEAP_MM = 1e-7
+"""Of the motor, at least, between two points of a curve: its heights ascend."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,13 +155,17 @@ def _curve(
         dock.geometry, dock.interference_mm, dock.properties.stud_modulus_n_per_mm2, mu
     )
     faces = dock.faces().force_n(gaps)
-    column = press + faces + into[:, n] - dock.clamp_force_n
+    column = press + faces + into.sum(axis=1) - dock.clamp_force_n
     stiffness = dock.properties.axial_stiffness_n_per_mm
+    # Whatever resists is met through the column; where it gives way faster than the column springs back, the shaft
+    # leaps: the motor is where it was.
+    leap = LEAP_MM * np.arange(len(heights))
+    motor = dock.motor_mm(np.maximum.accumulate(heights + column / stiffness - leap) + leap)
     share = jammed / max(int(jammed.sum()), 1)
     return ForceCurve(
-        z_mm=dock.motor_mm(heights + np.maximum.accumulate(column) / stiffness),
+        z_mm=motor,
         gap_mm=gaps,
-        in_n=into[:, :n].sum(axis=1) + column,
+        in_n=column,
         out_n=back.sum(axis=1) - press + faces - dock.clamp_force_n,
         stud_in_n=into[:, :n],
         stud_lateral_n=lateral @ onto[:, :n],

@@ -81,6 +81,17 @@ def test_beyond_the_chamfer_the_studs_jam_and_the_column_yields() -> None:
     assert axial == pytest.approx(np.full(36, 1350.0 / 36))
 
 
+@pytest.mark.parametrize("shift_mm", [0.5, -0.5])
+def test_studs_that_wedge_against_each_other_are_met_through_the_column(shift_mm: float) -> None:
+    curve = force_curve(best("ideal", circle_diameter_shift_mm=shift_mm), np.arange(32.2, 29.0, -0.01))
+    assert not curve.jammed.any()
+    assert (np.diff(curve.z_mm) > 0.0).all()
+    rise = np.diff(curve.in_n) / -np.diff(curve.gap_mm)
+    assert rise.max() > 50_000.0, "each bends its stud, and the chuck cannot give way to all of them"
+    felt = [curve.stiffness_n_per_mm(float(z)) for z in curve.z_mm]
+    assert 1200.0 < max(felt) <= 1350.0 + 1e-6
+
+
 def test_a_cone_beyond_the_wedging_limit_jams() -> None:
     assert force_curve(moved(best("ideal", friction_coefficient=1.0), 0.2, 0.0, 0.0)).jammed.all()
     assert not force_curve(moved(best("ideal", friction_coefficient=0.9), 0.2, 0.0, 0.0)).jammed.any()

@@ -170,10 +170,10 @@ def test_a_stage_that_moves_with_the_studs_inside_ruins_them() -> None:
     align(plant)
     go(plant, "jack", 390.0)
     go(plant, "stage_x", plant.motors().x_mm + 2.5)
-    assert plant.gap_mm() == pytest.approx(10.0, abs=0.1)
     assert plant.engagement.lateral_peak_n.max() > 500.0
     assert plant.damages
     assert contact_n(plant) > 100.0
+    assert plant.gap_mm() == pytest.approx(10.0 + contact_n(plant) / 1350.0, abs=0.02)
 
 
 def test_stopping_on_a_contact_swings_on_by_v_sqrt_km() -> None:

@@ -1,4 +1,4 @@
-"""Who lets the guns turn: asked for again and again, off at once, off for good."""
+"""Who lets the guns turn: asked for again and again, off at once."""
 
 from __future__ import annotations
 
@@ -20,6 +20,11 @@ class Kept:
         self.output = SmallToolEnable(enabled=False)
         self.refused = ""
         self.keeper = EnableKeeper(self.output, lambda: self.refused, watchdog_s)
+
+    def trip(self, reason: str) -> None:
+        """Trip, or clear the trip, and say so."""
+        self.refused = reason
+        self.keeper.look()
 
 
 def kept(case: Callable[[Kept], Awaitable[None]], *, watchdog_s: float = 1.0) -> None:
@@ -58,40 +63,57 @@ def test_without_a_watchdog_nothing_is_asked_while_nothing_happens() -> None:
         before = stand.output.asked
         await asyncio.sleep(1e5)
         assert stand.output.asked == before
-        stand.keeper.fall("tripped")
-        await asyncio.sleep(0.0)
+        stand.trip("tripped")
         await asyncio.sleep(1e-3)
         assert not stand.output.enabled
+        stand.trip("")
+        await asyncio.sleep(1e-3)
+        assert stand.output.enabled
 
     kept(case, watchdog_s=0.0)
 
 
-def test_what_has_fallen_is_off_at_once_and_stays_so() -> None:
+def test_a_trip_takes_it_at_once_and_clearing_it_gives_it_back() -> None:
     async def case(stand: Kept) -> None:
         await stand.keeper.rearm()
-        stand.keeper.fall("tripped")
-        stand.keeper.fall("and something else")
+        stand.trip("tripped")
         state = await stand.keeper.read()
         assert (state.enabled, state.reason) == (False, "tripped")
         await asyncio.sleep(1e-3)
         assert not stand.output.enabled
+        await stand.keeper.rearm()
+        await asyncio.sleep(5.0)
+        assert not stand.output.enabled, "tripped still"
+        stand.trip("")
+        await asyncio.sleep(1e-3)
+        assert stand.output.enabled
+
+    kept(case)
+
+
+def test_halted_it_stays_off_whatever_becomes_of_trips() -> None:
+    async def case(stand: Kept) -> None:
+        await stand.keeper.rearm()
+        await stand.keeper.halt()
+        assert not stand.output.enabled
+        stand.trip("tripped")
+        stand.trip("")
         await asyncio.sleep(5.0)
         assert not stand.output.enabled
+        assert (await stand.keeper.read()).reason == "halted"
         await stand.keeper.rearm()
         assert stand.output.enabled
 
     kept(case)
 
 
-def test_a_guard_that_refuses_is_noticed_within_the_watchdog() -> None:
+def test_a_guard_that_dies_without_a_word_is_noticed_within_the_watchdog() -> None:
     async def case(stand: Kept) -> None:
         await stand.keeper.rearm()
         stand.refused = "the guard has died"
         await asyncio.sleep(0.3)
         assert not stand.output.enabled
         assert (await stand.keeper.read()).reason == "the guard has died"
-        await stand.keeper.rearm()
-        assert not stand.output.enabled, "refused still"
 
     kept(case)
 
@@ -115,7 +137,7 @@ def test_a_late_answer_is_asked_for_again_and_an_off_that_was_lost_is_said_again
         stand.output.error = DeviceTimeout("late", device="tool_enable")
         await asyncio.sleep(0.5)
         assert (await stand.keeper.read()).enabled
-        stand.keeper.fall("tripped")
+        stand.trip("tripped")
         await asyncio.sleep(0.5)
         assert stand.output.enabled, "nobody could tell it"
         stand.output.error = None
@@ -134,6 +156,28 @@ def test_an_output_that_cannot_be_set_is_told_by_the_re_arming(error: Exception)
         stand.output.error = None
         await asyncio.sleep(1.0)
         assert not stand.output.enabled
+
+    kept(case)
+
+
+def test_a_coupler_that_is_gone_is_asked_now_and_then() -> None:
+    async def case(stand: Kept) -> None:
+        await stand.keeper.rearm()
+        asked = 0
+
+        async def gone() -> None:
+            nonlocal asked
+            asked += 1
+            assert asked < 100, "asked without a pause"
+            raise NotConnected("no link", device="tool_enable")
+
+        exchange, stand.output.exchange = stand.output.exchange, gone  # type: ignore[method-assign]
+        await asyncio.sleep(2.0)
+        assert 5 <= asked <= 25
+        assert not (await stand.keeper.read()).enabled
+        stand.output.exchange = exchange  # type: ignore[method-assign]
+        await asyncio.sleep(0.2)
+        assert not stand.output.enabled, "off as soon as it can be said"
 
     kept(case)
 
