@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from cellctl.studies.figures import provenance
 from hal.priority import never_paused, real_time
 from tests.benchmarks.pipelines import ROOT, store
 from tests.benchmarks.reaction_stand import Stand, standing
@@ -38,6 +39,7 @@ SLOW = 10
 """So many times fewer trials beside Open3D, some of which take seconds."""
 SEED = 1
 REAL_TIME = 60
+COMMAND = 'make bench ARGS="--only reaction"'
 PARTS = ("-m", "tests.benchmarks.reaction_parts")
 SERVE = ("serve", "--cell", str(ROOT / "deploy" / "cell.fake.toml"), "--port", "0", "--json")
 Way = Callable[[Stand], AbstractAsyncContextManager[None]]
@@ -81,9 +83,10 @@ def reaction(work: Path, delays: Path) -> dict[str, Any]:
 
 
 def keep(measured: Mapping[str, Delays], path: Path) -> None:
-    """Every delay in milliseconds, sorted, by way."""
-    lines = {name: [round(1e3 * one, 3) for one in sorted(way.seconds)] for name, way in measured.items()}
-    path.write_text(json.dumps(lines) + "\n", encoding="utf-8")
+    """Every delay in milliseconds, ascending, by way, for those who draw from them (tests.dead.force_trips)."""
+    ms = {name: {"ms": [round(1e3 * one, 4) for one in sorted(way.seconds)]} for name, way in measured.items()}
+    entry = provenance([COMMAND], ROOT)
+    path.write_text(json.dumps(entry | ms, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def compared(ways: dict[str, dict[str, float]]) -> dict[str, Any]:

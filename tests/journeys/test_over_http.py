@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
@@ -88,20 +87,6 @@ def test_an_order_is_followed_to_its_record(tmp_path: Path) -> None:
             with pytest.raises(ClientError) as caught:
                 await cell.command("hold")
             assert caught.value.problem.allowed_commands == ["reset", "stop", "abort"]
-
-    run_served(tmp_path, body)
-
-
-def test_the_second_half_of_an_answer_does_not_wait_for_an_acknowledgement(tmp_path: Path) -> None:
-    async def body(given: Served) -> None:
-        reader, writer = await asyncio.open_connection("127.0.0.1", given.port)
-        writer.write(b"GET /api/v1/health/live HTTP/1.1\r\nHost: c\r\n\r\n")
-        await reader.readuntil(b"\r\n\r\n")
-        (connection,) = given.server.server_state.connections
-        taken = connection.transport.get_extra_info("socket")
-        assert taken.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-        writer.close()
-        await writer.wait_closed()
 
     run_served(tmp_path, body)
 
