@@ -56,10 +56,13 @@ def trip_force_n(recipe: Recipe, delays: Delays, mass_kg: float, *, deceleration
 def insertion_trip_n(recipe: Recipe, cell: CellConfig) -> float:
     """`trip_force_n` in that cell: what is armed for the insertion, and what the check judges.
 
+    A force that passes the trip right after a sample is seen in the next one: its period is part of the sensor's delay.
     The jack is taken to stop no harder than it ramps; most drives' quick stop is shorter.
     """
+    period_s = 1.0 / cell.devices.jack_force.rate_hz
+    delays = cell.guard.model_copy(update={"sensor_s": cell.guard.sensor_s + period_s})
     deceleration = cell.devices.jack.max_acceleration
-    return trip_force_n(recipe, cell.guard, cell.cell.moving_mass_kg, deceleration_mm_s2=deceleration)
+    return trip_force_n(recipe, delays, cell.cell.moving_mass_kg, deceleration_mm_s2=deceleration)
 
 
 def contact_speed_findings(recipe: Recipe, cell: CellConfig | None) -> list[Finding]:

@@ -50,3 +50,12 @@ def test_what_is_armed_leaves_room_for_a_jack_that_brakes_slowly_as_the_check_do
     lazier = cell.model_copy(update={"devices": cell.devices.model_copy(update={"jack": slower})})
     (finding,) = contact_speed_findings(recipe, lazier)
     assert f"{guard_plan(recipe, lazier).insert_trip_n:.2f} N" in finding.reason
+
+
+def test_the_wait_for_the_next_sample_is_part_of_the_delay() -> None:
+    recipe, cell = parse_recipe(lpt()), load_cell(CELL)
+    sensor = cell.devices.jack_force.model_copy(update={"rate_hz": 500.0})
+    slower = cell.model_copy(update={"devices": cell.devices.model_copy(update={"jack_force": sensor})})
+    quick_n, slow_n = (guard_plan(recipe, one).insert_trip_n for one in (cell, slower))
+    assert quick_n == pytest.approx(trip_force_n(recipe, cell.guard, 100.0) - 1350.0 * 0.2 * 0.001)
+    assert slow_n == pytest.approx(quick_n - 1350.0 * 0.2 * 0.001)

@@ -92,7 +92,7 @@ class Tally:
 
 def reactions(path: Path, way: str) -> Array:
     """Measured seconds from a sample's last byte to the quick stop at the bus, of one `way`. Raises OSError."""
-    return 1e-3 * np.array(json.loads(path.read_text(encoding="utf-8"))[way], dtype=np.float64)
+    return 1e-3 * np.array(json.loads(path.read_text(encoding="utf-8"))[way]["ms"], dtype=np.float64)
 
 
 def campaign(

@@ -37,7 +37,7 @@ def test_a_number_alone_repeats_its_trips() -> None:
 
 
 def test_what_was_measured_is_drawn_from_and_the_table_says_how_often_the_limit_was_passed(tmp_path: Path) -> None:
-    ways = {"process": [0.2, 0.4], "thread": [80.0], "open3d": [200.0]}
+    ways = {"process": {"ms": [0.2, 0.4]}, "thread": {"ms": [80.0]}, "open3d": {"ms": [200.0]}}
     (tmp_path / "reaction_delays.json").write_text(json.dumps(ways), encoding="utf-8")
     assert main(["--trips", "2", "--seed", str(SEED), "--figures", str(tmp_path)]) == 0
     rows = json.loads((tmp_path / "force_trips.json").read_text(encoding="utf-8"))["rows"]

@@ -8,10 +8,12 @@ wrong.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import logging
+import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -34,6 +36,8 @@ BUSES: Mapping[str, Mapping[str, Strike]] = MappingProxyType(
         "guard link": guard.STRIKES,
     }
 )
+ENDED_S = 300.0
+"""A strike takes seconds, on a busy machine some tens of them."""
 EVERYWHERE = ("cable pulled", "adapter gone", "half frames", "late reply", "duplicate", "wrong id")
 """What any wire can do."""
 NONE: Mapping[tuple[str, str], str] = MappingProxyType(
@@ -45,10 +49,27 @@ PAIRS: tuple[tuple[str, str], ...] = tuple((bus, fault) for bus, strikes in BUSE
 def strike(bus: str, fault: str, seed: int) -> str:
     """What is wrong with one strike, or empty."""
     try:
-        BUSES[bus][fault](seed)
+        with _ended():
+            BUSES[bus][fault](seed)
     except Exception as error:
         return f"{type(error).__name__}: {error}"
     return ""
+
+
+@contextlib.contextmanager
+def _ended() -> Iterator[None]:
+    """What goes round and round for ever is ended, too."""
+
+    def ring(number: int, frame: object) -> None:
+        raise AssertionError(f"no end after {ENDED_S:g} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, ENDED_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def numbered(number: int) -> tuple[str, str]:

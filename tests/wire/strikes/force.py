@@ -17,7 +17,7 @@ from tests.contract.wire_force import wired
 from tests.wire.strikes import Strike
 
 NAME = "gun_force_a"
-SPEED = 5.0
+SPEED = 2.0
 OLD_S = 0.2
 """Loop time that a busy machine's kernel may hold a line back at this speed."""
 HUNG = Fault(NAME, "hung", phase="hung", duration_s=1.5)
