@@ -11,7 +11,8 @@ from hal.interfaces import Axis, AxisState, ParkState
 
 AxisName = Literal["stage_x", "stage_y", "jack", "shaft_table", "gun_table", "gun_feed"]
 AXES: tuple[AxisName, ...] = ("gun_feed", "gun_table", "jack", "stage_x", "stage_y", "shaft_table")
-"""In the order of homing: what could be in the way of the others comes first."""
+IN_THE_WAY: tuple[AxisName, ...] = ("gun_feed", "jack")
+"""Homed first, one after the other: they could be in the way of the others."""
 
 
 def axis(devices: Devices, name: AxisName) -> Axis:

@@ -8,8 +8,18 @@ from typing import Literal
 import numpy as np
 
 from cellctl.ports import RunContext, RunHeld
-from cellctl.steps.motion import AXES, camera_to, home, move, require_clamped, require_safety, shaft_axes
+from cellctl.steps.motion import (
+    AXES,
+    IN_THE_WAY,
+    camera_to,
+    home,
+    move,
+    require_clamped,
+    require_safety,
+    shaft_axes,
+)
 from cellctl.steps.results import Scans
+from cellctl.steps.together import all_together
 from cellctl.vision.part import PartMeasurement, Refused
 from hal.interfaces import Frame, View
 
@@ -21,8 +31,9 @@ RETAKEN = frozenset({"too_few_points", "features_missing", "too_noisy", "face_no
 async def prepare(run: RunContext) -> None:
     """Ready for the first look: safe, parts known by their serials, clamped, homed, everything at its start."""
     await require_safety(run)
-    for name in AXES:
+    for name in IN_THE_WAY:
         await home(run, name)
+    await all_together(*(home(run, name) for name in AXES if name not in IN_THE_WAY))
     await move(run, "gun_feed", 0.0)
     await move(run, "jack", 0.0)
     await _present(run)

@@ -10,6 +10,14 @@ A = TypeVar("A")
 B = TypeVar("B")
 
 
+async def all_together(*each: Awaitable[A]) -> list[A]:
+    """As `together`, of any number of things that give the same."""
+    done = await asyncio.gather(*each, return_exceptions=True)
+    if errors := [one for one in done if isinstance(one, BaseException)]:
+        raise errors[0]
+    return [one for one in done if not isinstance(one, BaseException)]
+
+
 async def together(first: Awaitable[A], second: Awaitable[B]) -> tuple[A, B]:
     """Await both to their ends, then raise the first error, if any. Cancelling it cancels both.
 
