@@ -37,4 +37,4 @@ def test_a_recipe_that_does_not_fit_is_told_with_its_limit(
     assert main(["demo", "--cell", str(root / "deploy" / "cell.fake.toml"), *options]) == 2
     told = capsys.readouterr().err
     assert "422 recipe_unfit" in told
-    assert "approach_speed_mm_s: 80.0 mm/s is faster than the axis (limit <= 20.0 mm/s)" in told
+    assert "approach_speed_mm_s: 160.0 mm/s is faster than the axis (limit <= 20.0 mm/s)" in told
