@@ -10,14 +10,13 @@ from tests.wire.as_device import CONNECTED, UNANSWERED, DeviceCase
 
 TCP = WireBackend(wire_modbus.installed, speed=100.0)
 RTU = WireBackend(wire_modbus.installed_rtu, "wire_rtu", speed=100.0)
-NAMES = (
+PAIRS = [(name, TCP) for name in (
     "spigot_tc_1", "pyrometer", "heater", "chuck", "camera_park", "nut_feeder", "tool_enable", "gap_probe_1", "safety",
     "part_station",
-)  # fmt: skip
+)] + [(name, RTU) for name in ("spigot_tc_1", "pyrometer", "heater")]  # fmt: skip
 
 
-@pytest.mark.parametrize("backend", [TCP, RTU], ids=["tcp", "rtu"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "backend"), PAIRS)
 @pytest.mark.parametrize("case", (*CONNECTED, *UNANSWERED))
 def test_it_is_a_device_like_any_other(case: DeviceCase, name: str, backend: WireBackend) -> None:
     case(backend, name)
