@@ -76,8 +76,8 @@ class FileDropScanner:
         return SafeState(not told.projecting, "projecting" if told.projecting else "projector dark")
 
     async def rearm(self) -> None:
-        """Nothing is resumed: a capture is asked for anew."""
-        await self._command("state")
+        """Nothing is resumed: a capture that is still under way, and that nobody waits for any more, is ended."""
+        await self.halt()
 
     async def capture(self, view: View) -> Frame:
         """One organised cloud.
