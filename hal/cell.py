@@ -265,7 +265,10 @@ def _guard(
 def _kept(config: CellConfig, output: EnableOutput, guard: CellGuard, latch: Latch) -> EnableKeeper:
     """The output that lets the guns turn, kept by the guard that shares this loop."""
     watchdog_s: float = getattr(config.devices.tool_enable, "watchdog_s", 0.0)
-    refused = lambda: latch.reason("guard") if guard.alive else "the guard has died"  # noqa: E731
+
+    def refused() -> str:
+        return latch.reason("guard") if guard.alive else "the guard has died"
+
     keeper = EnableKeeper(output, refused, watchdog_s)
     latch.on_change = keeper.look
     return keeper

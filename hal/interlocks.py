@@ -66,7 +66,7 @@ class Permits:
         """The error that turning `gun` meets now, or None."""
         if refused := await self.power(gun):
             return refused
-        state = (await _answers({"enable": self._tool_enable.read}, self._limits.read_s))["enable"]
+        state = await _in_time(self._tool_enable.read, self._limits.read_s)
         if state is not None and state.enabled:
             return None
         reason = state.reason if state is not None else "unknown"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -23,8 +23,5 @@ async def together(first: Awaitable[A], second: Awaitable[B]) -> tuple[A, B]:
 
     A gun that is tightening must not be torn off because its opposite reported an error: its result would be lost.
     """
-    one, other = await asyncio.gather(first, second, return_exceptions=True)
-    for outcome in (one, other):
-        if isinstance(outcome, BaseException):
-            raise outcome
-    return one, other  # type: ignore[return-value]  # exceptions were raised above
+    one, other = await all_together(*cast(tuple[Awaitable[Any], Awaitable[Any]], (first, second)))
+    return one, other
