@@ -55,8 +55,13 @@ class _Delegate(Generic[D]):
     async def rearm(self) -> None:
         await self._inner.rearm()
 
+    async def _under(
+        self, judge: Callable[[], Awaitable[CellError | None]], command: Callable[[], Coroutine[Any, Any, T]]
+    ) -> T:
+        return await perform(self._inner, self._permits.latch, judge, command)
+
     async def _powered(self, command: Callable[[], Coroutine[Any, Any, T]]) -> T:
-        return await perform(self._inner, self._permits.latch, lambda: self._permits.power(self.name), command)
+        return await self._under(lambda: self._permits.power(self.name), command)
 
 
 class PermittedAxis(_Delegate[Axis]):
@@ -93,8 +98,7 @@ class PermittedAxis(_Delegate[Axis]):
         return state
 
     async def _motion(self, target: Target, command: Callable[[], Coroutine[Any, Any, AxisState]]) -> AxisState:
-        permits = self._permits
-        return await perform(self._inner, permits.latch, lambda: permits.motion(self._axis, target), command)
+        return await self._under(lambda: self._permits.motion(self._axis, target), command)
 
 
 class PermittedCameraPark(_Delegate[CameraPark]):
@@ -104,9 +108,7 @@ class PermittedCameraPark(_Delegate[CameraPark]):
         return await self._inner.read()
 
     async def go(self, position: Literal["parked", "rotor", "shaft"]) -> ParkState:
-        permits = self._permits
-        judge: Callable[[], Awaitable[CellError | None]] = lambda: permits.camera(position)  # noqa: E731
-        return await perform(self._inner, permits.latch, judge, lambda: self._inner.go(position))
+        return await self._under(lambda: self._permits.camera(position), lambda: self._inner.go(position))
 
 
 class PermittedGun(_Delegate[Gun]):
@@ -124,8 +126,7 @@ class PermittedGun(_Delegate[Gun]):
         return await self._inner.result(key)
 
     async def _enabled(self, command: Callable[[], Coroutine[Any, Any, T]]) -> T:
-        permits = self._permits
-        return await perform(self._inner, permits.latch, lambda: permits.tools(self.name), command)
+        return await self._under(lambda: self._permits.tools(self.name), command)
 
 
 class PermittedHeater(_Delegate[Heater]):

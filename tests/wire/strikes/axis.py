@@ -16,17 +16,12 @@ from hal.errors import DeviceError, DeviceFault, DeviceRefused, DeviceTimeout, N
 from hal.fake.faults import Fault, FaultBook
 from tests.contract.backends import plant_of, quickened
 from tests.contract.wire_axis import Wire, beat, wired
-from tests.wire.strikes import Strike
+from tests.wire.strikes import Lift, Strike, lasting, nothing
 
 SPEED = 50.0
 NODE = 3
 CABLE = Fault("jack", "gone", phase="struck", duration_s=1.5)
-Lift = Callable[[], Awaitable[None]]
 Errors = tuple[type[DeviceError], ...]
-
-
-async def nothing() -> None:
-    """There is nothing to be put right."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +37,7 @@ class Fate:
 
 async def cable_pulled(wire: Wire, book: FaultBook, draw: Random) -> Lift:
     """The drive's, for longer than anybody waits for its heartbeat."""
-    loop = asyncio.get_running_loop()
-    book.enter_phase(CABLE.phase or "", loop.time())
-    until_s = loop.time() + CABLE.duration_s
-    return lambda: asyncio.sleep(until_s - loop.time())
+    return lasting(book, CABLE)
 
 
 async def adapter_gone(wire: Wire, book: FaultBook, draw: Random) -> Lift:

@@ -14,7 +14,7 @@ from hal.fake.wire.force import ForceAmplifier
 from hal.real.force import SerialForceSensor
 from tests.contract.backends import plant_of, quickened
 from tests.contract.wire_force import wired
-from tests.wire.strikes import Strike
+from tests.wire.strikes import Lift, Strike, entered, nothing
 
 NAME = "gun_force_a"
 SPEED = 2.0
@@ -23,7 +23,6 @@ OLD_S = 0.2
 HUNG = Fault(NAME, "hung", phase="hung", duration_s=1.5)
 LATE = Fault(NAME, "late", phase="late", value=0.4, duration_s=1.5)
 GONE = Fault(NAME, "gone", phase="gone", duration_s=1.5)
-Lift = Callable[[], Awaitable[None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +47,6 @@ class Fate:
     old_s: float = OLD_S
 
 
-async def nothing() -> None:
-    """There is nothing to be put right."""
-
-
 async def pulled(at: At) -> Lift:
     """The cable between adapter and machine: the port is gone."""
     at.amplifier.unplug()
@@ -61,18 +56,6 @@ async def pulled(at: At) -> Lift:
         at.amplifier.plug()
 
     return plug
-
-
-def entered(fault: Fault) -> Callable[[At], Awaitable[Lift]]:
-    """A fault of the book."""
-
-    async def strike(at: At) -> Lift:
-        loop = asyncio.get_running_loop()
-        at.book.enter_phase(fault.phase or "", loop.time())
-        until_s = loop.time() + fault.duration_s
-        return lambda: asyncio.sleep(until_s - loop.time())
-
-    return strike
 
 
 def lines(kind: str) -> Callable[[At], Awaitable[Lift]]:

@@ -16,9 +16,7 @@ from hal.fake.faults import FaultBook
 from hal.guard.heartbeat import Heartbeat
 from tests.contract.wire_axis import Wire
 from tests.wire.guard_stand import LIMITS, GuardStand, on_stand
-from tests.wire.strikes import Strike, axis
-
-Lift = Callable[[], Awaitable[None]]
+from tests.wire.strikes import Lift, Strike, axis, nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +27,6 @@ class Fate:
     trips: bool | None
     word: str = ""
     may_arrive: bool = False
-
-
-async def nothing() -> None:
-    """There is nothing to be put right."""
 
 
 def on_bus(

@@ -16,12 +16,10 @@ from hal.fake.wire.gun import GunController
 from hal.fake.wire.open_protocol import Client
 from hal.real.gun import RESULT_S, OpenProtocolGun
 from tests.wire.gun_stand import FREE, LONG, WIRE, linked, stand
-from tests.wire.strikes import Strike
+from tests.wire.strikes import ESTOP, Lift, Strike, nothing, power_cut
 
-Lift = Callable[[], Awaitable[None]]
 Errors = tuple[type[CellError], ...]
 LATE = Fault("gun_a", "late", phase="late", value=1.2, duration_s=6.0)
-ESTOP = Fault("safety", "estop", phase="stopped", duration_s=6.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +42,6 @@ class Fate:
     may_end: bool = True
     first: bool = False
     kept: bool = True
-
-
-async def nothing() -> None:
-    """There is nothing to be put right."""
 
 
 async def cable_pulled(at: At) -> Lift:
@@ -125,18 +119,6 @@ async def refusals(at: At) -> Lift:
     return end
 
 
-async def stopped(at: At) -> Lift:
-    """The hard-wired circuit takes the power: an alarm."""
-    at.book.enter_phase("stopped", asyncio.get_running_loop().time())
-
-    async def end() -> None:
-        await asyncio.sleep(ESTOP.duration_s)
-        await linked(at.gun)
-        await at.gun.rearm()
-
-    return end
-
-
 async def keep_alive_lost(at: At) -> Lift:
     """Keep-alives are not answered."""
     at.controller.wire.mute = {m.KEEP_ALIVE}
@@ -168,7 +150,7 @@ FATES = {
     "duplicate": Fate(twice, (), first=True),
     "wrong id": Fate(strange, (), first=True),
     "exception codes": Fate(refusals, (DeviceRefused, DeviceFault), may_end=False, first=True),
-    "EMCY (alarm)": Fate(stopped, (DeviceFault,), kept=False),
+    "EMCY (alarm)": Fate(power_cut(linked), (DeviceFault,), kept=False),
     "lost heartbeat (keep-alive)": Fate(keep_alive_lost, (), first=True),
     "result lost and fetched again": Fate(result_lost, (UnknownOutcome,), may_end=False, first=True),
     "controller restart in mid-tightening": Fate(restarted, LOST, kept=False),

@@ -20,14 +20,11 @@ from hal.errors import (
     SafetyOpen,
     UnknownOutcome,
 )
-from hal.fake.faults import Fault, FaultBook
+from hal.fake.faults import FaultBook
 from hal.fake.wire.kducer import KducerController
 from hal.real.kducer import KducerGun
-from tests.wire.strikes import Strike
+from tests.wire.strikes import ESTOP, Lift, Strike, nothing, power_cut
 from tests.wire.test_kducer import FREE, LONG, WIRE, known, linked, stand
-
-ESTOP = Fault("safety", "estop", phase="stopped", duration_s=6.0)
-Lift = Callable[[], Awaitable[None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +47,6 @@ class Fate:
     must: bool = False
     first: bool = False
     stored: bool = False
-
-
-async def nothing() -> None:
-    """There is nothing to be put right."""
 
 
 async def pulled(at: At) -> Lift:
@@ -112,18 +105,6 @@ async def restarted(at: At) -> Lift:
     return nothing
 
 
-async def stopped(at: At) -> Lift:
-    """The hard-wired circuit takes the power."""
-    at.book.enter_phase("stopped", asyncio.get_running_loop().time())
-
-    async def end() -> None:
-        await asyncio.sleep(ESTOP.duration_s)
-        await linked(at.gun)
-        await at.gun.rearm()
-
-    return end
-
-
 LOST = (NotConnected, UnknownOutcome, DeviceTimeout)
 SPOILT = (*LOST, DeviceFault, DeviceRefused)
 FATES = {
@@ -136,7 +117,7 @@ FATES = {
     "wrong id": Fate(answers("wrong_unit"), LOST),
     "too few registers": Fate(answers("short"), SPOILT),
     "exception codes": Fate(refusals, SPOILT),
-    "EMCY (power cut)": Fate(stopped, (DeviceFault, SafetyOpen, UnknownOutcome)),
+    "EMCY (power cut)": Fate(power_cut(linked), (DeviceFault, SafetyOpen, UnknownOutcome)),
     "result lost and fetched again": Fate(result_lost, (UnknownOutcome,), must=True, first=True, stored=True),
     "controller restart in mid-tightening": Fate(restarted, (*LOST, DeviceFault)),
 }

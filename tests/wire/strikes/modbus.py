@@ -20,7 +20,7 @@ from hal.fake.wire.modbus import SimulatedModbus
 from tests.contract.backends import plant_of, quickened
 from tests.contract.fakes import fake_device
 from tests.contract.wire_modbus import UNIT, device
-from tests.wire.strikes import Strike
+from tests.wire.strikes import Lift, Strike
 
 SPEED = 100.0
 PTY_SPEED = 25.0
@@ -28,7 +28,6 @@ PTY_SPEED = 25.0
 WORST_S = 1.9
 """Just within the worst reply time of a device, beyond the deadline of an exchange."""
 Errors = tuple[type[CellError], ...]
-Lift = Callable[[], Awaitable[None]]
 
 
 @dataclass
@@ -127,10 +126,6 @@ WORK: Mapping[str, tuple[str, Callable[[At], Awaitable[None]]]] = {
 }
 
 # ------------------------------------------------------------ what strikes
-
-
-async def nothing() -> None:
-    """There is nothing to be put right."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,12 +15,11 @@ from hal.errors import DeviceError, DeviceFault, DeviceRefused, DeviceTimeout, I
 from hal.fake.faults import Fault, FaultBook
 from tests.contract import wire_gentl, wire_scanner
 from tests.contract.backends import plant_of, quickened
-from tests.wire.strikes import Strike
+from tests.wire.strikes import Lift, Strike, entered, nothing
 
 LATE = Fault("scanner", "late", phase="late", value=2.5, duration_s=2.0)
 OLD = Fault("scanner", "old_frame", phase="old", duration_s=4.0)
 GONE = Fault("scanner", "gone", phase="gone", duration_s=3.0)
-Lift = Callable[[], Awaitable[None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +42,6 @@ class Fate:
     first: bool = True
 
 
-async def nothing() -> None:
-    """There is nothing to be put right."""
-
-
 def goes(kind: str, value: object) -> Callable[[At], Awaitable[Lift]]:
     """Something of the simulator's wire, for one capture."""
 
@@ -58,18 +53,6 @@ def goes(kind: str, value: object) -> Callable[[At], Awaitable[Lift]]:
             setattr(at.side.wire, kind, plain)
 
         return end
-
-    return strike
-
-
-def entered(fault: Fault) -> Callable[[At], Awaitable[Lift]]:
-    """A fault of the book."""
-
-    async def strike(at: At) -> Lift:
-        loop = asyncio.get_running_loop()
-        at.book.enter_phase(fault.phase or "", loop.time())
-        until_s = loop.time() + fault.duration_s
-        return lambda: asyncio.sleep(until_s - loop.time())
 
     return strike
 
